@@ -1,0 +1,253 @@
+"""What an evaluation is asked for and what it answers: plain data, without simulator and without ROS.
+
+Units are SI. ``nan`` means "not measured", and the result's text says why; a number is never made up.
+Names are those of the messages in ``defgrasp_interfaces``; the paper's short names stand in brackets.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+
+from defgrasp_ros.checks import require_in_range
+from defgrasp_ros.errors import InvalidOptionsError, ResultCode
+
+FINGER_NAMES = ("left_finger", "right_finger")
+"""The two fingers in the order of every per-finger array; left is on the +y side of the grasp frame."""
+
+NAN = math.nan
+
+
+@dataclass(frozen=True)
+class EvaluationOptions:
+    """Constants of the protocol; the defaults are the paper's.
+
+    Args:
+        force_safety_factor: Target force is this factor x m g / mu [-].
+        pickup_hold_time: How long both fingers must keep contact after the platform has gone [s].
+        platform_speed: Speed with which the platform sinks [m/s].
+        squeeze_time: Duration of the force ramp from 0 to the target [s].
+        time_step: Time step [s]; a step that does not converge is repeated in smaller ones.
+        return_fields: Whether nodal positions and element stresses are kept in the results.
+
+    Raises:
+        InvalidOptionsError: If a value is outside its range.
+    """
+
+    force_safety_factor: float = 1.3
+    pickup_hold_time: float = 5.0
+    platform_speed: float = 0.08
+    squeeze_time: float = 0.4
+    time_step: float = 1.0 / 200.0
+    return_fields: bool = False
+
+    def __post_init__(self) -> None:
+        check = require_in_range
+        error = InvalidOptionsError
+        check(error, "options.force_safety_factor", self.force_safety_factor, 0.0, 1e3, low_open=True)
+        check(error, "options.pickup_hold_time", self.pickup_hold_time, 0.0, 600.0, unit="s")
+        check(error, "options.platform_speed", self.platform_speed, 1e-4, 1.0, unit="m/s")
+        check(error, "options.squeeze_time", self.squeeze_time, 0.01, 60.0, unit="s")
+        check(error, "options.time_step", self.time_step, 1e-5, 0.02, unit="s")
+
+
+class Phase(IntEnum):
+    """Where in the protocol an evaluation is (mirrors ``defgrasp_interfaces/msg/EvaluatorStatus``)."""
+
+    PREPARE = 0
+    SETTLE = 1
+    CLOSE = 2
+    SQUEEZE = 3
+    LOWER_PLATFORM = 4
+    HOLD = 5
+    DONE = 6
+
+
+@dataclass
+class GraspFeatures:
+    """The seven grasp features, measured at the target force, before lifting (mean over the two fingers)."""
+
+    contact_patch_distance: float = NAN
+    """Distance from contact patch to the object's centroid [m] (pure_dist)."""
+    contact_patch_perpendicular_distance: float = NAN
+    """The same, in the plane across the closing axis [m] (perp_dist)."""
+    contact_count: float = NAN
+    """Contact points per finger [-] (num_contacts)."""
+    edge_distance: float = NAN
+    """Distance from contact patch to the distal edge of the pad [m] (edge_dist)."""
+    squeeze_distance: float = NAN
+    """How far the pads closed between first contact of both and the target force [m] (squeeze_dist)."""
+    gripper_separation: float = NAN
+    """Gap between the pad faces at the target force [m] (gripper_sep)."""
+    gravity_alignment: float = NAN
+    """Angle between closing axis and vertical, in [0, pi/2] [rad] (grav_align)."""
+
+
+@dataclass
+class GraspMetrics:
+    """The performance metrics of the pickup; numbers are ``nan`` where the object was not held."""
+
+    pickup_success: bool = False
+    """Whether both fingers kept contact for the hold time after the platform had gone."""
+    max_von_mises_stress: float = NAN
+    """Largest element von Mises stress at the end of the hold [Pa]."""
+    max_deformation: float = NAN
+    """Largest nodal displacement from the pre-contact shape, rigid motion removed [m]."""
+    strain_energy: float = NAN
+    """1/2 sum V sigma : epsilon at the end of the hold [J] (the paper writes it without the 1/2)."""
+
+
+@dataclass
+class FingerContact:
+    """What one finger feels at one instant; vectors in the object frame.
+
+    ``positions`` [m], ``normals`` (unit, into the object) and ``forces`` [N] (on the object) have shape
+    ``(contact, 3)`` and hold the contact points that carry force.
+    """
+
+    name: str
+    positions: np.ndarray
+    normals: np.ndarray
+    forces: np.ndarray
+    slipping: bool = False
+
+    @property
+    def count(self) -> int:
+        """Number of contact points that carry force."""
+        return len(self.positions)
+
+    @property
+    def normal_forces(self) -> np.ndarray:
+        """Normal force of each contact point [N], shape ``(contact,)``, positive."""
+        return np.einsum("ij,ij->i", self.forces, self.normals)
+
+    @property
+    def normal_force(self) -> float:
+        """Sum of the normal forces [N]."""
+        return float(self.normal_forces.sum())
+
+    @property
+    def tangential_force(self) -> np.ndarray:
+        """Friction force of the finger on the object [N], shape ``(3,)``."""
+        return (self.forces - self.normal_forces[:, None] * self.normals).sum(axis=0)
+
+    @property
+    def centroid(self) -> np.ndarray:
+        """Mean position of the contact points [m], shape ``(3,)``; nan without contact."""
+        return self.positions.mean(axis=0) if self.count else np.full(3, NAN)
+
+
+@dataclass
+class SolverReport:
+    """How well the time steps of one evaluation were solved."""
+
+    converged: bool = True
+    """Whether every accepted step reached the tolerance."""
+    steps: int = 0
+    """Accepted time steps [-]."""
+    iterations: int = 0
+    """Quasi-Newton iterations, all steps together [-]."""
+    residual: float = 0.0
+    """Largest residual of an accepted step, relative to the force scale [-]."""
+    step_cuts: int = 0
+    """Steps that were repeated with smaller ones [-]."""
+    contact_fallbacks: int = 0
+    """Contact problems that the first method did not solve [-]."""
+
+
+@dataclass
+class DeformedState:
+    """Fields over the mesh at one instant."""
+
+    positions: np.ndarray
+    """Nodes in the object frame [m], shape ``(node, 3)``."""
+    von_mises_stress: np.ndarray
+    """Per element [Pa], shape ``(tet,)``."""
+    opening: float = NAN
+    """Distance of each pad face from the grasp frame's origin [m]; nan before the gripper is there."""
+
+
+@dataclass
+class GraspEvaluation:
+    """Everything known about one grasp after its evaluation."""
+
+    grasp_index: int
+    grasp_id: str
+    code: ResultCode = ResultCode.OK
+    message: str = ""
+    features: GraspFeatures = field(default_factory=GraspFeatures)
+    metrics: GraspMetrics = field(default_factory=GraspMetrics)
+    target_force: float = NAN
+    """SUM of the two pad normal forces asked for [N]."""
+    applied_force: float = NAN
+    """The same, as measured when the features were taken [N]."""
+    contacts: tuple[FingerContact, FingerContact] | None = None
+    """Left and right finger at the end of the hold; at the target force where the hold failed; None if never touched."""
+    slip_distance: float = NAN
+    """How far the object moved against the hand after the platform had gone, until the end of the hold [m]."""
+    holding_time: float = NAN
+    """How long both fingers kept contact after the platform had gone [s]."""
+    simulated_time: float = 0.0
+    wall_time: float = 0.0
+    """Time [s] until this grasp's evaluation ended; grasps of a batch share it."""
+    solver: SolverReport = field(default_factory=SolverReport)
+    fields: dict[str, DeformedState] = field(default_factory=dict)
+    """By stage: ``pre_contact``, ``at_target_force``, ``post_pickup``; filled where the options ask for fields."""
+
+
+@dataclass
+class GraspSample:
+    """The state of one running grasp, as published and recorded while the simulation runs."""
+
+    grasp_index: int
+    grasp_id: str
+    phase: Phase
+    time: float
+    """Simulated time since the start of the run [s]."""
+    opening: float
+    """Distance of each pad face from the grasp frame's origin [m]."""
+    opening_velocity: float
+    """Rate of the opening [m/s], negative when closing."""
+    closing_force: float
+    """Force with which the drive closes the pair of fingers [N], sum of both."""
+    contacts: tuple[FingerContact, FingerContact]
+    platform_force: float
+    """Normal force of the platform on the object [N]."""
+
+
+@dataclass
+class Progress:
+    """How far the run is; ``fraction`` is an estimate in [0, 1]."""
+
+    phase: Phase
+    fraction: float
+    simulated_time: float
+    active_grasps: int
+    grasp_count: int
+
+
+class EvaluationObserver:
+    """Follows a running evaluation; override what you need. Called in the thread that simulates.
+
+    ``sample_interval`` is the simulated time between two calls of ``on_sample`` per grasp [s].
+    """
+
+    sample_interval = 0.02
+
+    def on_progress(self, progress: Progress) -> None:
+        """The run got further."""
+
+    def on_sample(self, sample: GraspSample) -> None:
+        """The state of one grasp that still runs."""
+
+    def on_evaluation(self, evaluation: GraspEvaluation) -> None:
+        """One grasp is finished."""
+
+    def should_stop(self) -> bool:
+        """Whether the run should end now; grasps not finished come back with code CANCELED."""
+        return False
+
+

@@ -1,0 +1,220 @@
+"""Solves the frictional contact problem of each world, and says how well.
+
+ADMM first (see ``kernels_coulomb``); a world that it leaves unsolved goes to a semismooth Newton method on the host,
+and from there, if need be, back to a long ADMM run. The problem is small and dense: a few tens of contacts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from defgrasp_ros.simulation import kernels_coulomb as kernels
+from defgrasp_ros.simulation.dense import DeviceAlgebra, HostAlgebra
+from defgrasp_ros.simulation.types import vec3d
+
+wp.set_module_options({"enable_backward": False})
+
+SHORT_RUN = 120
+"""ADMM iterations before Newton's method takes over."""
+LONG_RUN = 3000
+"""ADMM iterations after Newton's method has failed."""
+CHECK_INTERVAL = 5
+"""ADMM iterations between two looks of the host at what is done."""
+NEWTON_ITERATIONS = 40
+NEWTON_REGULARISATION = 1e-10
+
+
+@dataclass
+class ContactProblem:
+    """The contact problems of some worlds; row i of the buffers belongs to ``worlds[i]``.
+
+    ``matrix`` W [m/N] and ``inverse`` (W + rho)^-1 [N/m] have shape ``(world, 3 contact, 3 contact)``;
+    ``motion`` is w at the forces ``force`` (row, contact) and both are in contact frames.
+    """
+
+    worlds: wp.array
+    count: wp.array
+    friction: float
+    rho: wp.array
+    matrix: wp.array
+    inverse: wp.array
+    force: wp.array
+    motion: wp.array
+    tolerance: wp.array
+    """Largest accepted residual of the natural map [N], shape ``(row,)``."""
+
+
+class CoulombSolver:
+    """Work buffers and the sequence of methods."""
+
+    def __init__(self, rows: int, capacity: int, device: wp.Device, algebra: HostAlgebra | DeviceAlgebra):
+        self.device = device
+        self.algebra = algebra
+        shape = (rows, capacity)
+        self._z, self._dual, self._right_side, self._offset, self._x = (
+            wp.zeros(shape, dtype=vec3d, device=device) for _ in range(5)
+        )
+        self._done = wp.zeros(rows, dtype=int, device=device)
+
+    def solve(self, problem: ContactProblem) -> tuple[wp.array, int]:
+        """Return the forces, shape ``(row, contact)`` [N], and how many worlds ADMM's short run left unsolved."""
+        rows = problem.worlds.shape[0]
+        sizes = 3 * problem.count.numpy()
+        self._done[:rows].zero_()
+        self._multiply(problem, problem.matrix, sizes, problem.force, self._offset, rows)
+        wp.launch(_subtract, dim=(rows, self._x.shape[1]), inputs=[problem.motion, self._offset], device=self.device)
+        wp.launch(
+            kernels.admm_start,
+            dim=(rows, self._x.shape[1]),
+            inputs=[problem.count, problem.worlds, problem.friction, problem.rho, self._offset, problem.force, problem.motion],
+            outputs=[self._z, self._dual, self._right_side],
+            device=self.device,
+        )
+        if self._iterate(problem, sizes, rows, SHORT_RUN):
+            return self._z[:rows], 0
+        unsolved = np.flatnonzero(self._done[:rows].numpy() == 0)
+        self._newton(problem, sizes, unsolved)
+        self._iterate(problem, sizes, rows, LONG_RUN)
+        return self._z[:rows], len(unsolved)
+
+    def _multiply(self, problem: ContactProblem, matrix: wp.array, sizes: np.ndarray, x: wp.array, out: wp.array, rows: int):
+        flat = [wp.array(ptr=a.ptr, dtype=wp.float64, shape=(rows, 3 * a.shape[1]), device=self.device) for a in (x, out)]
+        self.algebra.multiply_worlds(matrix, problem.worlds, sizes, self._done[:rows], *flat)
+
+    def _iterate(self, problem: ContactProblem, sizes: np.ndarray, rows: int, iterations: int) -> bool:
+        """Run ADMM until every world is done; return whether that is so."""
+        self._check(problem, sizes, rows)
+        for iteration in range(1, iterations + 1):
+            self._multiply(problem, problem.inverse, sizes, self._right_side, self._x, rows)
+            wp.launch(
+                kernels.admm_project,
+                dim=(rows, self._x.shape[1]),
+                inputs=[problem.count, problem.worlds, self._done, problem.friction, problem.rho, self._offset, self._x],
+                outputs=[self._z, self._dual, self._right_side],
+                device=self.device,
+            )
+            if iteration % CHECK_INTERVAL == 0 and self._check(problem, sizes, rows):
+                return True
+        return False
+
+    def _check(self, problem: ContactProblem, sizes: np.ndarray, rows: int) -> bool:
+        """Mark the worlds that are solved; return whether all are."""
+        self._multiply(problem, problem.matrix, sizes, self._z, self._x, rows)
+        wp.launch(
+            kernels.admm_check,
+            dim=rows,
+            inputs=[problem.count, problem.worlds, problem.friction, problem.rho, problem.tolerance, self._offset, self._z, self._x],
+            outputs=[self._done],
+            device=self.device,
+        )
+        return bool(self._done[:rows].numpy().all())
+
+    def _newton(self, problem: ContactProblem, sizes: np.ndarray, rows: np.ndarray) -> None:
+        """Put Newton's solution of some rows into z and the dual; what failed keeps ADMM's iterate."""
+        worlds, rho, tolerance = problem.worlds.numpy(), problem.rho.numpy(), problem.tolerance.numpy()
+        z, offset = self._z.numpy(), self._offset.numpy()
+        dual, right_side = self._dual.numpy(), self._right_side.numpy()
+        matrices = problem.matrix.numpy()
+        for i in rows:
+            w, n = worlds[i], sizes[worlds[i]]
+            matrix, q = matrices[w, :n, :n], offset[i].reshape(-1)[:n]
+            force, residual = semismooth_newton(matrix, q, problem.friction, rho[w], z[i].reshape(-1)[:n], tolerance[i])
+            if residual > tolerance[i]:
+                continue
+            motion = (matrix @ force + q).reshape(-1, 3)
+            motion[:, 0] += problem.friction * np.linalg.norm(motion[:, 1:], axis=1)
+            contacts = n // 3
+            z[i, :contacts] = force.reshape(-1, 3)
+            dual[i, :contacts] = -motion / rho[w]
+            shift = problem.friction * np.linalg.norm(motion[:, 1:], axis=1)
+            right_side[i, :contacts] = rho[w] * z[i, :contacts] + motion - offset[i, :contacts]
+            right_side[i, :contacts, 0] -= shift
+        if self.device.is_cuda:
+            for array, values in ((self._z, z), (self._dual, dual), (self._right_side, right_side)):
+                array.assign(values)
+
+
+def semismooth_newton(
+    matrix: np.ndarray, offset: np.ndarray, friction: float, rho: float, start: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, float]:
+    """Solve one contact problem by Newton's method on Alart and Curnier's function, with a line search.
+
+    Phi(lambda) = lambda - (max(0, lambda_n - w_n / r), P_disk(lambda_t - w_t / r)) with disk radius
+    mu max(0, lambda_n - w_n / r), where r scales motion to force.
+
+    Args:
+        matrix: W [m/N], shape ``(3 contact, 3 contact)``.
+        offset: q [m], shape ``(3 contact,)``, in contact frames.
+        friction: Coulomb's mu [-].
+        rho: Scale r [m/N].
+        start: First guess [N], shape ``(3 contact,)``.
+        tolerance: Residual at which to stop [N].
+
+    Returns:
+        Forces [N], shape ``(3 contact,)``, and the largest entry of Phi [N].
+    """
+    contacts = len(offset) // 3
+    identity = np.eye(3 * contacts)
+
+    def function(force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        trial = (force - (matrix @ force + offset) / rho).reshape(-1, 3)
+        return force - _alart_curnier(trial, friction).reshape(-1), trial
+
+    force = start.copy()
+    value, trial = function(force)
+    for _ in range(NEWTON_ITERATIONS):
+        if np.abs(value).max(initial=0.0) < tolerance:
+            break
+        slope = _block_times(_alart_curnier_slope(trial, friction), identity - matrix / rho)
+        # Neighbouring points can depend on each other; the small shift picks one of their equivalent solutions.
+        direction = np.linalg.solve((1.0 + NEWTON_REGULARISATION) * identity - slope, -value)
+        length, merit = 1.0, np.linalg.norm(value)
+        while length > 1e-3:
+            candidate, candidate_trial = function(force + length * direction)
+            if np.linalg.norm(candidate) < (1.0 - 0.1 * length) * merit:
+                break
+            length *= 0.5
+        force = force + length * direction
+        value, trial = (candidate, candidate_trial) if length > 1e-3 else function(force)
+    return force, float(np.abs(value).max(initial=0.0))
+
+
+def _alart_curnier(trial: np.ndarray, friction: float) -> np.ndarray:
+    """Return (max(0, n), projection of t on the disk of radius mu max(0, n)); shapes ``(contact, 3)`` [N]."""
+    normal = np.maximum(trial[:, 0], 0.0)
+    length = np.linalg.norm(trial[:, 1:], axis=1)
+    radius = friction * normal
+    scale = np.where(length > radius, radius / np.maximum(length, 1e-300), 1.0)
+    return np.column_stack([normal, scale[:, None] * trial[:, 1:]])
+
+
+def _alart_curnier_slope(trial: np.ndarray, friction: float) -> np.ndarray:
+    """Return an element of the generalised Jacobian of :func:`_alart_curnier`, shape ``(contact, 3, 3)``."""
+    slope = np.zeros((len(trial), 3, 3))
+    normal, tangential = trial[:, 0], trial[:, 1:]
+    length = np.linalg.norm(tangential, axis=1)
+    pressed = normal > 0.0
+    slope[pressed, 0, 0] = 1.0
+    sticking = pressed & (length <= friction * normal)
+    slope[sticking, 1, 1] = slope[sticking, 2, 2] = 1.0
+    sliding = pressed & ~sticking
+    direction = tangential[sliding] / length[sliding, None]
+    slope[sliding, 1:, 0] = friction * direction
+    across = np.eye(2) - direction[:, :, None] * direction[:, None, :]
+    slope[sliding, 1:, 1:] = (friction * normal[sliding] / length[sliding])[:, None, None] * across
+    return slope
+
+
+def _block_times(blocks: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Return blockdiag(blocks) @ matrix."""
+    return np.einsum("cij,cjk->cik", blocks, matrix.reshape(len(blocks), 3, -1)).reshape(matrix.shape)
+
+
+@wp.kernel
+def _subtract(minuend: wp.array2d[vec3d], difference: wp.array2d[vec3d]):
+    """difference = minuend - difference."""
+    i, c = wp.tid()
+    difference[i, c] = minuend[i, c] - difference[i, c]

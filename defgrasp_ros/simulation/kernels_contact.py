@@ -1,0 +1,496 @@
+"""Kernels that find contact points and connect them with the nodes.
+
+Three rigid flat bodies can touch the object: left pad, right pad (rectangles that slide along the closing axis)
+and the platform (an unbounded plane). Between a flat pad and a triangulated surface the smallest gap lies at
+
+    * a surface node inside the pad's outline,
+    * the point where a surface edge crosses the outline, or
+    * the point of a surface triangle under a corner of the outline,
+
+so these points, each once, are the contact candidates; the platform needs the nodes alone. A point is a weighted
+mean of up to three nodes. It keeps its place in the material during a step.
+
+Contact frame: row 0 is the normal n, from the body into the object; rows 1, 2 span the face. With the opening q
+(distance of each pad face from the grasp frame's origin o) the relative motion w of a point x is
+
+    w_n = n . (x - o) + q   (pads),    w_n = n . x - height   (platform),    w_t = t . (x - x_n)  since the step began.
+"""
+
+import warp as wp
+
+from defgrasp_ros.simulation.types import mat33d, vec2d, vec3d
+
+wp.set_module_options({"enable_backward": False})
+
+LEFT_PAD = wp.constant(0)
+RIGHT_PAD = wp.constant(1)
+PLATFORM = wp.constant(2)
+BODY_COUNT = 3
+
+SNAP = wp.constant(wp.float64(0.1))
+"""Fraction of an edge within which a crossing counts as the node at its end."""
+KEPT_SHIFT = wp.constant(wp.float64(0.02))
+"""A crossing that moved by less than this fraction of its edge stays where it was in the material."""
+
+
+@wp.struct
+class Outline:
+    """Rectangle of a pad's flat face in the grasp frame [m]."""
+
+    half_width: wp.float64
+    bottom: wp.float64
+    top: wp.float64
+    depth: wp.float64
+    """How far behind the face a point still counts as pressed in, and not as beyond the finger [m]."""
+    snap: wp.float64
+    """How far outside a node still counts as inside [m]."""
+
+
+@wp.struct
+class ContactList:
+    """Candidate points of every world; row 'world', ``count[world]`` entries, in ascending order of ``key``."""
+
+    count: wp.array[int]  # (world,)
+    key: wp.array2d[int]  # (world, contact): body and mesh feature
+    body: wp.array2d[int]  # (world, contact)
+    nodes: wp.array2d[wp.vec3i]  # (world, contact)
+    weights: wp.array2d[vec3d]  # (world, contact), 0 where a node does not count
+    force: wp.array2d[vec3d]  # (world, contact): normal and two tangential components [N]
+
+
+@wp.struct
+class Surface:
+    """The boundary of the mesh."""
+
+    nodes: wp.array[int]  # (surface node,)
+    triangles: wp.array2d[int]  # (triangle, 3)
+    edges: wp.array2d[int]  # (edge, 2)
+    incidence_start: wp.array[int]  # (node + 1,): triangles around a node
+    incidence_triangle: wp.array[int]  # (incidence,)
+    edge_key: int
+    """First key of an edge crossing."""
+    corner_key: int
+    """First key of a pad corner."""
+    body_key: int
+    """Number of keys per body."""
+
+
+@wp.struct
+class Bodies:
+    """The rigid bodies of every world."""
+
+    enabled: wp.array2d[int]  # (world, body)
+    frame: wp.array2d[mat33d]  # (world, body): rows normal, tangent, tangent
+    base: wp.array2d[wp.float64]  # (world, body): n . o of a pad, height of the platform [m]
+    origin: wp.array[vec3d]  # (world,): origin o of the grasp frame [m]
+    opening: wp.array[wp.float64]  # (world,): q [m]
+
+
+@wp.func
+def triangle_normal(surface: Surface, rest: wp.array[vec3d], displacement: wp.array2d[vec3d], world: int, t: int) -> vec3d:
+    """Outward normal of a deformed surface triangle, twice its area long [m^2]."""
+    a = surface.triangles[t, 0]
+    b = surface.triangles[t, 1]
+    c = surface.triangles[t, 2]
+    xa = rest[a] + displacement[world, a]
+    return wp.cross(rest[b] + displacement[world, b] - xa, rest[c] + displacement[world, c] - xa)
+
+
+@wp.kernel
+def surface_normals(
+    surface: Surface,
+    rest: wp.array[vec3d],  # (node,) [m]
+    worlds: wp.array[int],  # (row,)
+    displacement: wp.array2d[vec3d],  # (world, node) [m]
+    normal_out: wp.array2d[vec3d],  # (row, node)
+):
+    """Outward normal of each surface node: area-weighted mean of its triangles."""
+    i, s = wp.tid()
+    n = surface.nodes[s]
+    total = vec3d()
+    for k in range(surface.incidence_start[n], surface.incidence_start[n + 1]):
+        total += triangle_normal(surface, rest, displacement, worlds[i], surface.incidence_triangle[k])
+    normal_out[i, n] = wp.normalize(total)
+
+
+@wp.func
+def body_gap(bodies: Bodies, world: int, body: int, x: vec3d) -> wp.float64:
+    """Distance of a point from the face of a body [m], negative inside."""
+    frame = bodies.frame[world, body]
+    gap = wp.dot(vec3d(frame[0, 0], frame[0, 1], frame[0, 2]), x) - bodies.base[world, body]
+    if body != PLATFORM:
+        gap += bodies.opening[world]
+    return gap
+
+
+@wp.func
+def pad_coordinates(bodies: Bodies, world: int, x: vec3d) -> vec2d:
+    """Position of a point across (x) and along (z) the pads in the grasp frame [m]."""
+    frame = bodies.frame[world, LEFT_PAD]
+    r = x - bodies.origin[world]
+    return vec2d(
+        frame[1, 0] * r[0] + frame[1, 1] * r[1] + frame[1, 2] * r[2],
+        frame[2, 0] * r[0] + frame[2, 1] * r[1] + frame[2, 2] * r[2],
+    )
+
+
+@wp.func
+def inside(p: vec2d, outline: Outline, margin: wp.float64) -> bool:
+    """Whether a point lies in the outline grown by a margin."""
+    return (
+        wp.abs(p[0]) <= outline.half_width + margin and p[1] >= outline.bottom - margin and p[1] <= outline.top + margin
+    )
+
+
+@wp.func
+def side_crossing(a: vec2d, b: vec2d, outline: Outline, side: int) -> wp.float64:
+    """Return the fraction of the segment a-b at which it crosses a side of the outline, or -1."""
+    axis = side // 2
+    other = 1 - axis
+    level = outline.half_width
+    if side == 0:
+        level = -outline.half_width
+    elif side == 2:
+        level = outline.bottom
+    elif side == 3:
+        level = outline.top
+    da = a[axis] - level
+    db = b[axis] - level
+    if da * db >= wp.float64(0.0):
+        return wp.float64(-1.0)
+    s = da / (da - db)
+    along = a[other] + s * (b[other] - a[other])
+    low = -outline.half_width
+    high = outline.half_width
+    if axis == 0:
+        low = outline.bottom
+        high = outline.top
+    if along < low or along > high:
+        return wp.float64(-1.0)
+    return s
+
+
+@wp.func
+def outline_corner(outline: Outline, corner: int) -> vec2d:
+    """Corner 0..3 of the outline."""
+    x = outline.half_width
+    if corner % 2 == 0:
+        x = -x
+    z = outline.top
+    if corner < 2:
+        z = outline.bottom
+    return vec2d(x, z)
+
+
+@wp.func
+def barycentric(p: vec2d, a: vec2d, b: vec2d, c: vec2d) -> vec3d:
+    """Weights of p in the plane triangle a b c; one is negative where p lies outside."""
+    ab = b - a
+    ac = c - a
+    ap = p - a
+    det = ab[0] * ac[1] - ab[1] * ac[0]
+    if wp.abs(det) < wp.float64(1e-18):
+        return vec3d(wp.float64(-1.0), wp.float64(-1.0), wp.float64(-1.0))
+    v = (ap[0] * ac[1] - ap[1] * ac[0]) / det
+    w = (ab[0] * ap[1] - ab[1] * ap[0]) / det
+    return vec3d(wp.float64(1.0) - v - w, v, w)
+
+
+@wp.func
+def append(
+    contacts: ContactList, world: int, count: int, key: int, body: int, nodes: wp.vec3i, weights: vec3d, gap: wp.float64,
+    gaps: wp.array2d[wp.float64],
+) -> int:
+    """Write a candidate if there is room, and return the count with it: a count above the capacity tells to grow."""
+    if count < contacts.key.shape[1]:
+        contacts.key[world, count] = key
+        contacts.body[world, count] = body
+        contacts.nodes[world, count] = nodes
+        contacts.weights[world, count] = weights
+        contacts.force[world, count] = vec3d()
+        gaps[world, count] = gap
+    return count + 1
+
+
+@wp.kernel
+def find_contacts(
+    surface: Surface,
+    outline: Outline,
+    rest: wp.array[vec3d],  # (node,) [m]
+    margin: wp.float64,  # [m]
+    bodies: Bodies,
+    worlds: wp.array[int],  # (row,)
+    displacement: wp.array2d[vec3d],  # (world, node) [m]
+    normal: wp.array2d[vec3d],  # (row, node)
+    # Out:
+    contacts: ContactList,
+    gap_out: wp.array2d[wp.float64],  # (world, contact) [m]
+):
+    """List all candidate points of a world with a gap below the margin, in a fixed order."""
+    i = wp.tid()
+    world = worlds[i]
+    one = wp.float64(1.0)
+    zero = wp.float64(0.0)
+    count = int(0)
+    for body in range(3):
+        if bodies.enabled[world, body] == 0:
+            continue
+        frame = bodies.frame[world, body]
+        towards = vec3d(frame[0, 0], frame[0, 1], frame[0, 2])
+        first_key = body * surface.body_key
+
+        for s in range(surface.nodes.shape[0]):
+            n = surface.nodes[s]
+            x = rest[n] + displacement[world, n]
+            gap = body_gap(bodies, world, body, x)
+            if gap > margin or wp.dot(normal[i, n], towards) >= zero:
+                continue
+            if body != PLATFORM:
+                if gap < -outline.depth or not inside(pad_coordinates(bodies, world, x), outline, outline.snap):
+                    continue
+            count = append(contacts, world, count, first_key + n, body, wp.vec3i(n, n, n), vec3d(one, zero, zero), gap, gap_out)
+
+        if body == PLATFORM:
+            continue
+
+        for e in range(surface.edges.shape[0]):
+            a = surface.edges[e, 0]
+            b = surface.edges[e, 1]
+            xa = rest[a] + displacement[world, a]
+            xb = rest[b] + displacement[world, b]
+            gap_a = body_gap(bodies, world, body, xa)
+            gap_b = body_gap(bodies, world, body, xb)
+            if wp.min(gap_a, gap_b) > margin or wp.max(gap_a, gap_b) < -outline.depth:
+                continue
+            if wp.dot(normal[i, a] + normal[i, b], towards) >= zero:
+                continue
+            pa = pad_coordinates(bodies, world, xa)
+            pb = pad_coordinates(bodies, world, xb)
+            a_inside = inside(pa, outline, outline.snap)
+            b_inside = inside(pb, outline, outline.snap)
+            for side in range(4):
+                f = side_crossing(pa, pb, outline, side)
+                if f < zero or (a_inside and f < SNAP) or (b_inside and f > one - SNAP):
+                    continue
+                gap = (one - f) * gap_a + f * gap_b
+                if gap > margin or gap < -outline.depth:
+                    continue
+                count = append(
+                    contacts, world, count, first_key + surface.edge_key + 4 * e + side, body,
+                    wp.vec3i(a, b, b), vec3d(one - f, f, zero), gap, gap_out,
+                )
+
+        for t in range(surface.triangles.shape[0]):
+            a = surface.triangles[t, 0]
+            b = surface.triangles[t, 1]
+            c = surface.triangles[t, 2]
+            xa = rest[a] + displacement[world, a]
+            xb = rest[b] + displacement[world, b]
+            xc = rest[c] + displacement[world, c]
+            gaps = vec3d(body_gap(bodies, world, body, xa), body_gap(bodies, world, body, xb), body_gap(bodies, world, body, xc))
+            if wp.min(gaps) > margin or wp.max(gaps) < -outline.depth:
+                continue
+            if wp.dot(wp.cross(xb - xa, xc - xa), towards) >= zero:
+                continue
+            pa = pad_coordinates(bodies, world, xa)
+            pb = pad_coordinates(bodies, world, xb)
+            pc = pad_coordinates(bodies, world, xc)
+            for corner in range(4):
+                weights = barycentric(outline_corner(outline, corner), pa, pb, pc)
+                if wp.min(weights) < zero or wp.max(weights) > one - SNAP:
+                    continue
+                gap = wp.dot(weights, gaps)
+                if gap > margin or gap < -outline.depth:
+                    continue
+                count = append(
+                    contacts, world, count, first_key + surface.corner_key + 4 * t + corner, body,
+                    wp.vec3i(a, b, c), weights, gap, gap_out,
+                )
+    contacts.count[world] = count
+
+
+@wp.kernel
+def carry_forces(
+    worlds: wp.array[int],  # (row,)
+    former: ContactList,
+    found_gap: wp.array2d[wp.float64],  # (world, contact) [m]
+    penetration: wp.float64,  # [m]
+    # In and out:
+    found: ContactList,
+    # Out:
+    compliance_is_stale: wp.array[int],  # (world,): set where the points changed
+    missing_out: wp.array[int],  # (row,): unlisted points deeper than the penetration
+):
+    """Give points found again their force and their place in the material; both lists are sorted by key."""
+    i = wp.tid()
+    w = worlds[i]
+    k = int(0)
+    same = int(0)
+    missing = int(0)
+    for c in range(found.count[w]):
+        while k < former.count[w] and former.key[w, k] < found.key[w, c]:
+            k += 1
+        if k < former.count[w] and former.key[w, k] == found.key[w, c]:
+            found.force[w, c] = former.force[w, k]
+            shift = wp.max(wp.abs(found.weights[w, c] - former.weights[w, k]))
+            if shift < KEPT_SHIFT:
+                found.weights[w, c] = former.weights[w, k]
+                same += 1
+        elif found_gap[w, c] < -penetration:
+            missing += 1
+    if same != found.count[w] or found.count[w] != former.count[w]:
+        compliance_is_stale[w] = 1
+    missing_out[i] = missing
+
+
+@wp.kernel
+def copy_contacts(worlds: wp.array[int], source: ContactList, target: ContactList):
+    """Copy the lists of some worlds."""
+    i = wp.tid()
+    w = worlds[i]
+    target.count[w] = source.count[w]
+    for c in range(source.count[w]):
+        target.key[w, c] = source.key[w, c]
+        target.body[w, c] = source.body[w, c]
+        target.nodes[w, c] = source.nodes[w, c]
+        target.weights[w, c] = source.weights[w, c]
+        target.force[w, c] = source.force[w, c]
+
+
+@wp.func
+def interpolate(field: wp.array2d[vec3d], row: int, nodes: wp.vec3i, weights: vec3d) -> vec3d:
+    """Weighted mean of a nodal field."""
+    return weights[0] * field[row, nodes[0]] + weights[1] * field[row, nodes[1]] + weights[2] * field[row, nodes[2]]
+
+
+@wp.func
+def interpolate_rest(rest: wp.array[vec3d], nodes: wp.vec3i, weights: vec3d) -> vec3d:
+    """Weighted mean of the rest positions."""
+    return weights[0] * rest[nodes[0]] + weights[1] * rest[nodes[1]] + weights[2] * rest[nodes[2]]
+
+
+@wp.kernel
+def relative_motion(
+    rest: wp.array[vec3d],  # (node,) [m]
+    bodies: Bodies,
+    contacts: ContactList,
+    worlds: wp.array[int],  # (row,)
+    start_displacement: wp.array2d[vec3d],  # (world, node) [m]
+    displacement: wp.array2d[vec3d],  # (world, node) [m]
+    correction: wp.array2d[vec3d],  # (row, node) [m], added to the displacement
+    motion_out: wp.array2d[vec3d],  # (row, contact): gap, slip, slip [m]
+):
+    """Gap and slip over the step of each contact point at displacement + correction."""
+    i, c = wp.tid()
+    w = worlds[i]
+    if c >= contacts.count[w]:
+        return
+    nodes = contacts.nodes[w, c]
+    weights = contacts.weights[w, c]
+    body = contacts.body[w, c]
+    u = interpolate(displacement, w, nodes, weights) + interpolate(correction, i, nodes, weights)
+    slip = bodies.frame[w, body] * (u - interpolate(start_displacement, w, nodes, weights))
+    gap = body_gap(bodies, w, body, interpolate_rest(rest, nodes, weights) + u)
+    motion_out[i, c] = vec3d(gap, slip[1], slip[2])
+
+
+@wp.kernel
+def scatter_contact_forces(
+    bodies: Bodies,
+    contacts: ContactList,
+    worlds: wp.array[int],  # (row,)
+    force: wp.array2d[vec3d],  # (row, contact): normal, tangential, tangential [N]
+    nodal_force: wp.array2d[vec3d],  # (row, node) [N], in and out
+):
+    """Add J^T lambda to the nodal forces."""
+    i = wp.tid()
+    w = worlds[i]
+    for c in range(contacts.count[w]):
+        f = wp.transpose(bodies.frame[w, contacts.body[w, c]]) * force[i, c]
+        nodes = contacts.nodes[w, c]
+        weights = contacts.weights[w, c]
+        for k in range(3):
+            if weights[k] != wp.float64(0.0):
+                nodal_force[i, nodes[k]] = nodal_force[i, nodes[k]] + weights[k] * f
+
+
+@wp.kernel
+def gather_forces(worlds: wp.array[int], contacts: ContactList, force_out: wp.array2d[vec3d]):
+    """Copy the forces of the list into a work buffer (row, contact) [N]."""
+    i, c = wp.tid()
+    w = worlds[i]
+    if c < contacts.count[w]:
+        force_out[i, c] = contacts.force[w, c]
+
+
+@wp.kernel
+def store_forces(worlds: wp.array[int], force: wp.array2d[vec3d], contacts: ContactList):
+    """Copy a work buffer (row, contact) [N] into the forces of the list."""
+    i, c = wp.tid()
+    w = worlds[i]
+    if c < contacts.count[w]:
+        contacts.force[w, c] = force[i, c]
+
+
+@wp.kernel
+def move_fingers(
+    contacts: ContactList,
+    worlds: wp.array[int],  # (row,)
+    step_length: wp.float64,  # [s]
+    finger_damping: wp.array[wp.float64],  # (world,) [N s/m]
+    closing_force: wp.array[wp.float64],  # (world,) [N]
+    start_opening: wp.array[wp.float64],  # (world,) [m]
+    opening_out: wp.array[wp.float64],  # (world,) [m]
+):
+    """Opening at the end of the step: c (q - q_n) / h = sum of the pads' normal forces - closing force."""
+    i = wp.tid()
+    w = worlds[i]
+    total = wp.float64(0.0)
+    for c in range(contacts.count[w]):
+        if contacts.body[w, c] != PLATFORM:
+            total += contacts.force[w, c][0]
+    opening_out[w] = start_opening[w] + step_length / finger_damping[w] * (total - closing_force[w])
+
+
+@wp.kernel
+def assemble_contact_compliance(
+    compliance: wp.array2d[wp.float64],  # (3 node, 3 node) [m/N]
+    step_length: wp.float64,  # [s]
+    bodies: Bodies,
+    contacts: ContactList,
+    worlds: wp.array[int],  # (row,)
+    rotation: wp.array2d[mat33d],  # (world, node)
+    finger_damping: wp.array[wp.float64],  # (world,) [N s/m]
+    # Out:
+    matrix_out: wp.array3d[wp.float64],  # (world, 3 contact, 3 contact) [m/N]
+):
+    """Gather W = J R P R^T J^T, and add what the fingers yield: h / c between the normal rows of the pads."""
+    i, a, b = wp.tid()
+    w = worlds[i]
+    if a >= contacts.count[w] or b >= contacts.count[w] or b < a:
+        return
+    block = mat33d()
+    for k in range(3):
+        weight_a = contacts.weights[w, a][k]
+        if weight_a == wp.float64(0.0):
+            continue
+        node_a = contacts.nodes[w, a][k]
+        row = mat33d()
+        for m in range(3):
+            weight_b = contacts.weights[w, b][m]
+            if weight_b == wp.float64(0.0):
+                continue
+            node_b = contacts.nodes[w, b][m]
+            p = mat33d()
+            for x in range(3):
+                for y in range(3):
+                    p[x, y] = compliance[3 * node_a + x, 3 * node_b + y]
+            row += weight_b * (p * wp.transpose(rotation[w, node_b]))
+        block += weight_a * (rotation[w, node_a] * row)
+    block = bodies.frame[w, contacts.body[w, a]] * block * wp.transpose(bodies.frame[w, contacts.body[w, b]])
+    if contacts.body[w, a] != PLATFORM and contacts.body[w, b] != PLATFORM:
+        block[0, 0] = block[0, 0] + step_length / finger_damping[w]
+    for x in range(3):
+        for y in range(3):
+            matrix_out[w, 3 * a + x, 3 * b + y] = block[x, y]
+            matrix_out[w, 3 * b + y, 3 * a + x] = block[x, y]

@@ -1,0 +1,88 @@
+"""The rest state's mass, stiffness and the inverse that all worlds share.
+
+    A0(h) = M / h^2 + K0,      P(h) = A0(h)^-1
+
+K0 is the stiffness of the undeformed mesh; M is lumped. P depends on the object and the step length only, so one
+dense matrix serves every grasp of a batch. It sets how fast the iteration of a step converges, never what it
+converges to.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+
+from defgrasp_ros.errors import InvalidMeshError
+from defgrasp_ros.object_model import ObjectModel
+
+
+@dataclass(frozen=True, eq=False)
+class Compliance:
+    """The inverse for one step length."""
+
+    step_length: float
+    """h [s]."""
+    matrix: np.ndarray
+    """P [m/N], shape ``(3 node, 3 node)``, symmetric."""
+    elastic: np.ndarray
+    """Mean diagonal of P less its rigid-body part, per node [m/N], shape ``(node,)``: the local flexibility."""
+    rigid: float
+    """h^2 / m [m/N]: how far a unit force moves the free body as a whole in one step."""
+
+
+class RestSystem:
+    """Lumped mass and rest stiffness of an object, and their combined inverse for any step length."""
+
+    def __init__(self, model: ObjectModel):
+        self.mass = model.material.density * model.mesh.node_volumes
+        """Lumped mass [kg], shape ``(node,)``."""
+        self.stiffness = rest_stiffness(model)
+        """K0 [N/m], sparse, shape ``(3 node, 3 node)``."""
+        self._rigid_modes = rigid_modes(model.mesh.vertices, self.mass)
+
+    def compliance(self, step_length: float) -> Compliance:
+        """Return P(h).
+
+        Raises:
+            InvalidMeshError: If the stiffness is not positive semi-definite, as with inverted elements.
+        """
+        matrix = self.stiffness.toarray()
+        matrix[np.diag_indices_from(matrix)] += np.repeat(self.mass, 3) / step_length**2
+        lapack = scipy.linalg.lapack
+        factor, failed = lapack.dpotrf(matrix.T, lower=1, overwrite_a=1)
+        if failed:
+            raise InvalidMeshError("the mesh has no positive definite stiffness: it contains degenerate or inverted tetrahedra")
+        lower, _ = lapack.dpotri(factor, lower=1, overwrite_c=1)
+        inverse = np.tril(lower) + np.tril(lower, -1).T
+        rigid_diagonal = step_length**2 * (self._rigid_modes**2).sum(axis=1)
+        elastic = (np.diagonal(inverse) - rigid_diagonal).reshape(-1, 3).mean(axis=1)
+        return Compliance(step_length, inverse, elastic, step_length**2 / self.mass.sum())
+
+
+def rest_stiffness(model: ObjectModel) -> scipy.sparse.csr_matrix:
+    """Assemble K0 of linear tetrahedra, K_ab = V (lambda G_a G_b^T + mu G_b G_a^T + mu (G_a . G_b) I) [N/m]."""
+    mesh = model.mesh
+    lame_lambda, lame_mu = model.material.lame_parameters
+    g = mesh.shape_gradients
+    dot = np.einsum("tai,tbi->tab", g, g)
+    blocks = lame_lambda * np.einsum("tai,tbj->taibj", g, g) + lame_mu * np.einsum("tbi,taj->taibj", g, g)
+    blocks += lame_mu * np.einsum("tab,ij->taibj", dot, np.eye(3))
+    blocks *= mesh.volumes[:, None, None, None, None]
+    index = (3 * mesh.tetrahedra[:, :, None] + np.arange(3)).reshape(-1, 12)
+    rows = np.repeat(index, 12, axis=1).ravel()
+    columns = np.tile(index, (1, 12)).ravel()
+    size = 3 * len(mesh.vertices)
+    return scipy.sparse.coo_matrix((blocks.reshape(-1), (rows, columns)), shape=(size, size)).tocsr()
+
+
+def rigid_modes(vertices: np.ndarray, mass: np.ndarray) -> np.ndarray:
+    """Return the six rigid-body modes Phi with Phi^T M Phi = I, shape ``(3 node, 6)``."""
+    centred = vertices - mass @ vertices / mass.sum()
+    translations = np.tile(np.eye(3), (len(vertices), 1))
+    rotations = np.cross(np.eye(3)[None, :, :], centred[:, None, :]).transpose(0, 2, 1).reshape(-1, 3)
+    weighted = np.sqrt(np.repeat(mass, 3))[:, None] * np.hstack([translations, rotations])
+    orthonormal, _ = np.linalg.qr(weighted)
+    return orthonormal / np.sqrt(np.repeat(mass, 3))[:, None]
