@@ -6,6 +6,7 @@ and from there, if need be, back to a long ADMM run. The problem is small and de
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,14 +18,14 @@ from defgrasp_ros.simulation.types import vec3d
 
 wp.set_module_options({"enable_backward": False})
 
-SHORT_RUN = 120
+SHORT_RUN = 60
 """ADMM iterations before Newton's method takes over."""
 LONG_RUN = 3000
 """ADMM iterations after Newton's method has failed."""
 CHECK_INTERVAL = 5
 """ADMM iterations between two looks of the host at what is done."""
-NEWTON_ITERATIONS = 40
-NEWTON_REGULARISATION = 1e-10
+NEWTON_ITERATIONS = 30
+NEWTON_REGULARISATION = 1e-6
 
 
 @dataclass
@@ -59,58 +60,68 @@ class CoulombSolver:
         )
         self._done = wp.zeros(rows, dtype=int, device=device)
 
-    def solve(self, problem: ContactProblem) -> tuple[wp.array, int]:
-        """Return the forces, shape ``(row, contact)`` [N], and how many worlds ADMM's short run left unsolved."""
-        rows = problem.worlds.shape[0]
+    def solve(self, problem: ContactProblem) -> tuple[wp.array, np.ndarray]:
+        """Return the forces, shape ``(row, contact)`` [N], and which rows ADMM's short run left unsolved."""
+        rows, capacity = problem.worlds.shape[0], self._x.shape[1]
         sizes = 3 * problem.count.numpy()
-        self._done[:rows].zero_()
-        self._multiply(problem, problem.matrix, sizes, problem.force, self._offset, rows)
-        wp.launch(_subtract, dim=(rows, self._x.shape[1]), inputs=[problem.motion, self._offset], device=self.device)
+        done = self._done[:rows]
+        done.zero_()
+
+        def product(matrix: wp.array, vector: wp.array, out: wp.array) -> Callable[[], None]:
+            flat = [_as_scalars(a, rows) for a in (vector, out)]
+            return self.algebra.world_product(matrix, problem.worlds, sizes, done, *flat)
+
+        product(problem.matrix, problem.force, self._offset)()
+        wp.launch(_subtract, dim=(rows, capacity), inputs=[problem.motion, self._offset], device=self.device)
         wp.launch(
             kernels.admm_start,
-            dim=(rows, self._x.shape[1]),
+            dim=(rows, capacity),
             inputs=[problem.count, problem.worlds, problem.friction, problem.rho, self._offset, problem.force, problem.motion],
             outputs=[self._z, self._dual, self._right_side],
             device=self.device,
         )
-        if self._iterate(problem, sizes, rows, SHORT_RUN):
-            return self._z[:rows], 0
-        unsolved = np.flatnonzero(self._done[:rows].numpy() == 0)
-        self._newton(problem, sizes, unsolved)
-        self._iterate(problem, sizes, rows, LONG_RUN)
-        return self._z[:rows], len(unsolved)
-
-    def _multiply(self, problem: ContactProblem, matrix: wp.array, sizes: np.ndarray, x: wp.array, out: wp.array, rows: int):
-        flat = [wp.array(ptr=a.ptr, dtype=wp.float64, shape=(rows, 3 * a.shape[1]), device=self.device) for a in (x, out)]
-        self.algebra.multiply_worlds(matrix, problem.worlds, sizes, self._done[:rows], *flat)
-
-    def _iterate(self, problem: ContactProblem, sizes: np.ndarray, rows: int, iterations: int) -> bool:
-        """Run ADMM until every world is done; return whether that is so."""
-        self._check(problem, sizes, rows)
-        for iteration in range(1, iterations + 1):
-            self._multiply(problem, problem.inverse, sizes, self._right_side, self._x, rows)
+        iteration = [
+            product(problem.inverse, self._right_side, self._x),
             wp.launch(
                 kernels.admm_project,
-                dim=(rows, self._x.shape[1]),
-                inputs=[problem.count, problem.worlds, self._done, problem.friction, problem.rho, self._offset, self._x],
+                dim=(rows, capacity),
+                inputs=[problem.count, problem.worlds, done, problem.friction, problem.rho, self._offset, self._x],
                 outputs=[self._z, self._dual, self._right_side],
                 device=self.device,
-            )
-            if iteration % CHECK_INTERVAL == 0 and self._check(problem, sizes, rows):
-                return True
-        return False
+                record_cmd=True,
+            ).launch,
+        ]
+        check = [
+            product(problem.matrix, self._z, self._x),
+            wp.launch(
+                kernels.admm_check,
+                dim=rows,
+                inputs=[problem.count, problem.worlds, problem.friction, problem.rho, problem.tolerance]
+                + [self._offset, self._z, self._x],
+                outputs=[done],
+                device=self.device,
+                record_cmd=True,
+            ).launch,
+        ]
+        if self._iterate(iteration, check, done, SHORT_RUN):
+            return self._z[:rows], np.zeros(rows, dtype=bool)
+        unsolved = done.numpy() == 0
+        self._newton(problem, sizes, np.flatnonzero(unsolved))
+        self._iterate(iteration, check, done, LONG_RUN)
+        return self._z[:rows], unsolved
 
-    def _check(self, problem: ContactProblem, sizes: np.ndarray, rows: int) -> bool:
-        """Mark the worlds that are solved; return whether all are."""
-        self._multiply(problem, problem.matrix, sizes, self._z, self._x, rows)
-        wp.launch(
-            kernels.admm_check,
-            dim=rows,
-            inputs=[problem.count, problem.worlds, problem.friction, problem.rho, problem.tolerance, self._offset, self._z, self._x],
-            outputs=[self._done],
-            device=self.device,
-        )
-        return bool(self._done[:rows].numpy().all())
+    @staticmethod
+    def _iterate(iteration: list[Callable], check: list[Callable], done: wp.array, limit: int) -> bool:
+        """Run ADMM until every world is done; return whether that is so."""
+        for count in range(limit + 1):
+            if count % CHECK_INTERVAL == 0:
+                for call in check:
+                    call()
+                if done.numpy().all():
+                    return True
+            for call in iteration:
+                call()
+        return False
 
     def _newton(self, problem: ContactProblem, sizes: np.ndarray, rows: np.ndarray) -> None:
         """Put Newton's solution of some rows into z and the dual; what failed keeps ADMM's iterate."""
@@ -211,6 +222,12 @@ def _alart_curnier_slope(trial: np.ndarray, friction: float) -> np.ndarray:
 def _block_times(blocks: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """Return blockdiag(blocks) @ matrix."""
     return np.einsum("cij,cjk->cik", blocks, matrix.reshape(len(blocks), 3, -1)).reshape(matrix.shape)
+
+
+def _as_scalars(vectors: wp.array, rows: int) -> wp.array:
+    """The first rows of an array of vectors as an array of numbers, shape ``(row, 3 contact)``, without copying."""
+    shape = (rows, 3 * vectors.shape[1])
+    return wp.array(ptr=vectors.ptr, dtype=wp.float64, shape=shape, device=vectors.device)
 
 
 @wp.kernel

@@ -6,6 +6,8 @@ arrays without copying.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import warp as wp
 
@@ -33,15 +35,22 @@ class HostAlgebra:
                 shifted[np.diag_indices(n)] += shift[w]
                 target[w, :n, :n] = np.linalg.inv(shifted)
 
-    def multiply_worlds(
+    def world_product(
         self, matrix: wp.array, worlds: wp.array, sizes: np.ndarray, done: wp.array, vector: wp.array, out: wp.array
-    ) -> None:
-        """out[i] = matrix[worlds[i]] @ vector[i] on the leading ``sizes[worlds[i]]`` rows, where ``done[i]`` is 0."""
-        matrices, x, y = matrix.numpy(), vector.numpy(), out.numpy()
-        rows = worlds.numpy()
-        for i in np.flatnonzero(done.numpy() == 0):
-            n = sizes[rows[i]]
-            np.dot(matrices[rows[i], :n, :n], x[i, :n], out=y[i, :n])
+    ) -> Callable[[], None]:
+        """Return a call that does out[i] = matrix[worlds[i]] @ vector[i] on the leading ``sizes[worlds[i]]`` rows,
+        where ``done[i]`` is 0 at the time of the call."""
+        matrices, x, y, flags = matrix.numpy(), vector.numpy(), out.numpy(), done.numpy()
+        blocks = [
+            (matrices[w, : sizes[w], : sizes[w]], x[i, : sizes[w]], y[i, : sizes[w]]) for i, w in enumerate(worlds.numpy())
+        ]
+
+        def multiply() -> None:
+            for flag, (block, column, product) in zip(flags, blocks, strict=True):
+                if not flag:
+                    np.dot(block, column, out=product)
+
+        return multiply
 
 
 class DeviceAlgebra:
@@ -71,13 +80,20 @@ class DeviceAlgebra:
             wp.launch(_take_pivot, dim=(len(worlds), largest), inputs=[some, size, k, out, pivot_row, pivot_column], device=device)
             wp.launch(_eliminate, dim=square, inputs=[some, size, k, pivot_row, pivot_column, out], device=device)
 
-    def multiply_worlds(
+    def world_product(
         self, matrix: wp.array, worlds: wp.array, sizes: np.ndarray, done: wp.array, vector: wp.array, out: wp.array
-    ) -> None:
+    ) -> Callable[[], None]:
         """See :class:`HostAlgebra`."""
         size = wp.array(sizes, dtype=int, device=matrix.device)
-        dim = (worlds.shape[0], vector.shape[1])
-        wp.launch(_batched_product, dim=dim, inputs=[worlds, size, done, matrix, vector], outputs=[out], device=matrix.device)
+        command = wp.launch(
+            _batched_product,
+            dim=(worlds.shape[0], vector.shape[1]),
+            inputs=[worlds, size, done, matrix, vector],
+            outputs=[out],
+            device=matrix.device,
+            record_cmd=True,
+        )
+        return command.launch
 
 
 def algebra_for(device: wp.Device) -> HostAlgebra | DeviceAlgebra:

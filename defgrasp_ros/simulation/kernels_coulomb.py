@@ -20,6 +20,7 @@ from defgrasp_ros.simulation.types import vec3d
 wp.set_module_options({"enable_backward": False})
 
 OVER_RELAXATION = wp.constant(wp.float64(1.5))
+RHO_FRACTION = wp.constant(wp.float64(0.3))
 
 
 @wp.func
@@ -82,7 +83,7 @@ def estimate_rho(
     worlds: wp.array[int],  # (row,)
     rho_out: wp.array[wp.float64],  # (world,) [m/N]
 ):
-    """ADMM's weight: the mean elastic self-compliance of a world's contact points."""
+    """ADMM's weight: a fraction of the mean elastic self-compliance of a world's contact points."""
     i = wp.tid()
     w = worlds[i]
     total = wp.float64(0.0)
@@ -90,7 +91,7 @@ def estimate_rho(
         for k in range(3):
             a = weights[w, c][k]
             total += a * a * elastic[nodes[w, c][k]]
-    rho_out[w] = total / wp.float64(wp.max(count[w], 1))
+    rho_out[w] = RHO_FRACTION * total / wp.float64(wp.max(count[w], 1))
 
 
 @wp.kernel

@@ -41,6 +41,8 @@ TOLERANCE = 1e-6
 """Largest residual of a solved step, relative to the force scale [-]."""
 CONTACT_TOLERANCE = 2e-7
 """The same for the contact problem inside an iteration [-]."""
+CONTACT_REDUCTION = 1e-3
+"""Early iterations need no better contact forces than this fraction of their residual [-]."""
 MAX_ITERATIONS = 40
 """Iterations after which a step is given up and cut."""
 STEP_CUT = 4
@@ -171,17 +173,9 @@ class Simulator:
 
     def _allocate_contacts(self, capacity: int) -> None:
         worlds = self.world_count
-
-        def contact_list() -> contact.ContactList:
-            result = contact.ContactList()
-            result.count = wp.zeros(worlds, dtype=int, device=self.device)
-            for name, dtype in (("key", int), ("body", int), ("nodes", wp.vec3i), ("weights", vec3d), ("force", vec3d)):
-                setattr(result, name, wp.zeros((worlds, capacity), dtype=dtype, device=self.device))
-            return result
-
         old = getattr(self, "_contacts", None)
         self._capacity = capacity
-        self._contacts, self._found = contact_list(), contact_list()
+        self._contacts, self._found = self._contact_list(capacity), self._contact_list(capacity)
         if old is not None:
             every = wp.array(np.arange(worlds), dtype=int, device=self.device)
             wp.launch(contact.copy_contacts, dim=worlds, inputs=[every, old, self._contacts], device=self.device)
@@ -196,6 +190,13 @@ class Simulator:
         self._contact_inverse = wp.zeros(square, dtype=wp.float64, device=self.device)
         self._solver = CoulombSolver(worlds, capacity, self.device, self._algebra)
         self._stale.fill_(1)
+
+    def _contact_list(self, capacity: int) -> contact.ContactList:
+        result = contact.ContactList()
+        result.count = wp.zeros(self.world_count, dtype=int, device=self.device)
+        for name, dtype in (("key", int), ("body", int), ("nodes", wp.vec3i), ("weights", vec3d), ("force", vec3d)):
+            setattr(result, name, wp.zeros((self.world_count, capacity), dtype=dtype, device=self.device))
+        return result
 
     # --- what the worlds contain --------------------------------------------------------------------------------
 
@@ -355,7 +356,7 @@ class Simulator:
                 scale = self.force_scale[worlds[active]]
                 self._evaluate_residual(rows, h, compliance)
             report.iterations[active] += 1
-            report.contact_fallbacks[active] += self._correct(rows, h, compliance, scale)
+            report.contact_fallbacks[active] += self._correct(rows, h, compliance, scale, report.residual[active])
 
         good = worlds[report.converged]
         if len(good):
@@ -426,11 +427,14 @@ class Simulator:
         self._set(self._stale, stale, 0)
         self._assembled_step[stale] = h
 
-    def _correct(self, rows: wp.array, h: float, compliance: _DeviceCompliance, scale: np.ndarray) -> np.ndarray:
+    def _correct(
+        self, rows: wp.array, h: float, compliance: _DeviceCompliance, scale: np.ndarray, residual: np.ndarray
+    ) -> np.ndarray:
         """One quasi-Newton correction of displacement, opening and forces; return fallbacks per row."""
         count, nodes = rows.shape[0], len(self.model.mesh.vertices)
         self._apply_compliance(rows, compliance, self._residual)
         self._relative_motion(rows)
+        tolerance = scale * np.maximum(CONTACT_TOLERANCE, CONTACT_REDUCTION * residual)
         problem = ContactProblem(
             worlds=rows,
             count=self._contacts.count,
@@ -440,7 +444,7 @@ class Simulator:
             inverse=self._contact_inverse,
             force=self._force[:count],
             motion=self._motion[:count],
-            tolerance=wp.array(CONTACT_TOLERANCE * scale, dtype=wp.float64, device=self.device),
+            tolerance=wp.array(tolerance, dtype=wp.float64, device=self.device),
         )
         force, fallbacks = self._solver.solve(problem)
         self._launch(elastic.add_correction, (count, nodes), [rows, self._correction, self._displacement])
@@ -526,6 +530,11 @@ class Simulator:
         """Distance of each pad face from the grasp frame's origin [m], shape ``(n,)``."""
         return self._start_opening.numpy()[worlds]
 
+    def opening_velocities(self, worlds: np.ndarray) -> np.ndarray:
+        """Rate of the opening that the finger law gives for the present forces [m/s], shape ``(n,)``."""
+        pads = self.normal_forces(worlds)[:, : contact.PLATFORM].sum(axis=1)
+        return (pads - self._closing_force.numpy()[worlds]) / self._finger_damping.numpy()[worlds]
+
     def stresses(self, worlds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Stress tensors in the elements' frames [Pa], ``(n, tet, 3, 3)``, and strain energies [J], ``(n, tet)``."""
         count, tets = len(worlds), len(self.model.mesh.tetrahedra)
@@ -534,6 +543,29 @@ class Simulator:
         inputs = [self._tetrahedra, self._gradients, self._lame, self._indices(worlds), self._start_displacement]
         self._launch(elastic.element_stress, (count, tets), inputs, [stress, density])
         return stress.numpy(), density.numpy() * self.model.mesh.volumes
+
+    def normal_forces(self, worlds: np.ndarray) -> np.ndarray:
+        """Sum of the normal forces of left pad, right pad and platform [N], shape ``(n, 3)``."""
+        lists = self._contacts
+        count, body, force = lists.count.numpy()[worlds], lists.body.numpy()[worlds], lists.force.numpy()[worlds, :, 0]
+        listed = np.arange(self._capacity) < count[:, None]
+        return np.stack([np.where(listed & (body == b), force, 0.0).sum(axis=1) for b in range(contact.BODY_COUNT)], axis=1)
+
+    def pad_gaps(self, worlds: np.ndarray) -> np.ndarray:
+        """Distance of each pad face from the surface in front of it [m], shape ``(n, 2)``; inf where there is none."""
+        rows = self._indices(worlds)
+        inputs = [self._surface, self._vertices, rows, self._start_displacement]
+        self._launch(contact.surface_normals, (len(worlds), len(self.model.mesh.surface_nodes)), inputs, [self._normal])
+        reach = 2.0 * self.gripper.max_opening
+        inputs = [self._surface, self._outline, self._vertices, reach, self._bodies, rows, self._start_displacement, self._normal]
+        everything = self._contact_list(capacity=self._surface.body_key)
+        gap = wp.zeros((self.world_count, self._surface.body_key), dtype=wp.float64, device=self.device)
+        self._launch(contact.find_contacts, len(worlds), inputs, [everything, gap])
+        count, body = everything.count.numpy()[worlds], everything.body.numpy()[worlds]
+        listed = np.arange(body.shape[1]) < count[:, None]
+        gaps = gap.numpy()[worlds]
+        pads = (contact.LEFT_PAD, contact.RIGHT_PAD)
+        return np.stack([np.where(listed & (body == pad), gaps, np.inf).min(axis=1) for pad in pads], axis=1)
 
     def contact_forces(self, worlds: np.ndarray) -> list[ContactForces]:
         """The contact points that carry force, per world."""

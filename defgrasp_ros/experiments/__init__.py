@@ -1,0 +1,5 @@
+"""The grasp experiments of the protocol, and the measures taken from them."""
+
+from defgrasp_ros.experiments.pickup import evaluate_grasps
+
+__all__ = ["evaluate_grasps"]
