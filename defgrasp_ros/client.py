@@ -109,6 +109,7 @@ class GraspEvaluatorClient:
         object_name: str = "",
         gripper: str = "",
         options: EvaluationOptions | None = None,
+        return_fields: bool = False,
         record: bool = True,
         on_progress: Callable[[Progress], None] | None = None,
         timeout: float | None = None,
@@ -123,7 +124,8 @@ class GraspEvaluatorClient:
             grasps: Candidates, in the object frame.
             object_name: Name of the object in status and logs.
             gripper: Name of a gripper; empty: the evaluator's.
-            options: Constants of the experiment; None, and numbers that are 0: the evaluator's.
+            options: Constants of the experiment; None: the evaluator's.
+            return_fields: Whether the answer carries nodal positions and element stresses; so do ``options``.
             record: Whether the run is logged.
             on_progress: Called while the evaluator works, also on a request of someone else that comes first; runs
                 in the client's thread, so keep it short.
@@ -135,6 +137,7 @@ class GraspEvaluatorClient:
             DefgraspError: If the request is refused: the class of ``defgrasp_ros.errors`` with the evaluator's code.
         """
         experiment = options_to_message(options) if options else ExperimentOptions()
+        experiment.return_fields |= return_fields
         experiment.record = record
         request = EvaluationRequest(
             object=object_to_message(source, material, object_name),
@@ -207,7 +210,9 @@ class GraspEvaluatorClient:
 def refusal(result: Result) -> DefgraspError:
     """Return the error that a result stands for, of the class whose code it has."""
     classes = {error.code: error for error in reversed(_with_subclasses(DefgraspError))}
-    return classes.get(result.code, DefgraspError)(result.message)
+    error = classes.get(result.code, DefgraspError)(result.message)
+    error.code = ResultCode(result.code)  # also where no class has this code
+    return error
 
 
 def _with_subclasses(error: type[DefgraspError]) -> list[type[DefgraspError]]:

@@ -185,7 +185,7 @@ class GraspEvaluation:
     applied_force: float = NAN
     """The same, as measured when the features were taken [N]."""
     contacts: tuple[FingerContact, FingerContact] | None = None
-    """Left and right finger at the end of the hold; at the target force where the hold failed; None if never touched."""
+    """Left and right finger at the end of the hold, or at the target force where the hold failed; None before that."""
     slip_distance: float = NAN
     """How far the object moved against the hand after the platform had gone, until the end of the hold [m]."""
     holding_time: float = NAN
@@ -249,5 +249,3 @@ class EvaluationObserver:
     def should_stop(self) -> bool:
         """Whether the run should end now; grasps not finished come back with code CANCELED."""
         return False
-
-

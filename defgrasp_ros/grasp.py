@@ -49,16 +49,23 @@ class Grasp:
         if position.shape != (3,) or not np.isfinite(position).all():
             raise InvalidGraspError(f"{label}: position = {position.tolist()} must be three finite numbers [m]")
         if orientation.shape != (4,) or not np.isfinite(orientation).all():
-            raise InvalidGraspError(f"{label}: orientation = {orientation.tolist()} must be four finite numbers, x y z w")
+            raise InvalidGraspError(
+                f"{label}: orientation = {orientation.tolist()} must be four finite numbers, x y z w"
+            )
         norm = float(np.linalg.norm(orientation))
         if norm == 0.0:
-            raise InvalidGraspError(f"{label}: orientation is the zero quaternion; give x y z w with norm 1, identity is 0 0 0 1")
+            raise InvalidGraspError(
+                f"{label}: orientation is the zero quaternion; give x y z w with norm 1, identity is 0 0 0 1"
+            )
         if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
             raise InvalidGraspError(
-                f"{label}: orientation = {orientation.tolist()} has norm {norm:.6g}, not 1; normalise it (order is x y z w)"
+                f"{label}: orientation = {orientation.tolist()} has norm {norm:.6g}, not 1; "
+                "normalise it (order is x y z w)"
             )
         if self.target_force is not None:
-            require_in_range(InvalidGraspError, f"{label}: target_force", self.target_force, 0.0, 1e5, low_open=True, unit="N")
+            require_in_range(
+                InvalidGraspError, f"{label}: target_force", self.target_force, 0.0, 1e5, low_open=True, unit="N"
+            )
         object.__setattr__(self, "position", position)
         object.__setattr__(self, "orientation", orientation / norm)
         object.__setattr__(self, "rotation", Rotation.from_quat(self.orientation).as_matrix())

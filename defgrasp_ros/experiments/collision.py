@@ -13,7 +13,9 @@ SAMPLES_PER_EDGE = 6
 """Points along each edge of a finger that are looked for inside the object."""
 
 
-def colliding_finger(mesh: TetMesh, positions: np.ndarray, grasp: Grasp, gripper: Gripper, opening: float) -> str | None:
+def colliding_finger(
+    mesh: TetMesh, positions: np.ndarray, grasp: Grasp, gripper: Gripper, opening: float
+) -> str | None:
     """Return the name of a finger that overlaps the object, or None.
 
     A finger is a box behind its pad face. It overlaps if a node of the object lies in the box or a point of the
@@ -31,7 +33,9 @@ def colliding_finger(mesh: TetMesh, positions: np.ndarray, grasp: Grasp, gripper
         faces = sorted((side * opening, side * (opening + gripper.finger_thickness)))
         low = np.array([-gripper.pad_half_width, faces[0], gripper.pad_bottom])
         high = np.array([gripper.pad_half_width, faces[1], gripper.tip])
-        if ((local > low) & (local < high)).all(axis=1).any() or _box_meets_tetrahedra(low, high, local, mesh.tetrahedra):
+        if ((local > low) & (local < high)).all(axis=1).any() or _box_meets_tetrahedra(
+            low, high, local, mesh.tetrahedra
+        ):
             return name
     return None
 

@@ -31,7 +31,8 @@ from defgrasp_ros.experiments.metrics import deformation, rigid_motion, von_mise
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.simulation.simulator import Simulator, StepReport
+from defgrasp_ros.simulation.simulator import Simulator
+from defgrasp_ros.simulation.stepper import StepReport
 
 MAX_BATCH = 64
 """Grasps simulated together; more run in further batches, which bounds the memory."""
@@ -175,7 +176,9 @@ class _Pickup:
         self.settling_rotation, self.settling_translation = rigid_motion(rest, self.pre_contact.positions, weights)
 
     def _is_first_batch(self) -> bool:
-        return bool(np.array_equal(self.simulator.positions(np.array([self.settled_world]))[0], self.model.mesh.vertices))
+        return bool(
+            np.array_equal(self.simulator.positions(np.array([self.settled_world]))[0], self.model.mesh.vertices)
+        )
 
     def _close(self) -> None:
         """Put the open gripper at each pose and move the pads to where the first of them touches."""
@@ -188,7 +191,8 @@ class _Pickup:
             if self.options.return_fields:
                 world.evaluation.fields["pre_contact"] = self.pre_contact
             if world.target_force > self.gripper.max_force:
-                text = f"the target force {world.target_force:.4g} N is above the gripper's limit of {self.gripper.max_force:g} N"
+                limit = self.gripper.max_force
+                text = f"the target force {world.target_force:.4g} N is above the gripper's limit of {limit:g} N"
                 self._finish(world, ResultCode.FORCE_NOT_REACHED, text)
                 continue
             finger = colliding_finger(
@@ -275,7 +279,9 @@ class _Pickup:
                 self._follow_hold(int(w), normal[row], fastest[row], elapsed)
             self._drop_finished()
         for w in self.running:
-            self._finish(self.worlds[w], ResultCode.CANCELED, "the evaluation was canceled before this grasp was finished")
+            self._finish(
+                self.worlds[w], ResultCode.CANCELED, "the evaluation was canceled before this grasp was finished"
+            )
         self._drop_finished()
 
     def _follow_hold(self, w: int, normal: np.ndarray, fastest: float, elapsed: float) -> None:
@@ -291,7 +297,9 @@ class _Pickup:
         if world.time_without_contact >= LOSS_TIME:
             world.evaluation.holding_time = max(0.0, world.holding_time - LOSS_TIME)
             side = FINGER_NAMES[int(np.argmin(normal[:2]))] if normal[:2].max() > 0.0 else "both fingers"
-            text = f"the object slipped out: {_spoken(side)} lost contact {world.evaluation.holding_time:.2f} s after lift-off"
+            held = world.evaluation.holding_time
+            when = f"{held:.2f} s after lift-off" if held > 0.0 else "while the platform went down"
+            text = f"the object slipped out: {_spoken(side)} lost contact {when}"
             self._finish(world, ResultCode.DROPPED, text)
         elif on_platform and elapsed > LOWERING_TIME_LIMIT:
             self._finish(world, ResultCode.DROPPED, "the object went down with the platform")
@@ -371,7 +379,8 @@ class _Pickup:
             else:
                 solver.converged = False
                 solver.residual = float(report.residual[row])
-                text = f"no solution of the time step at {self.time:.3f} s: residual {report.residual[row]:.2g} of the force scale"
+                residual = f"residual {report.residual[row]:.2g} of the force scale"
+                text = f"no solution of the time step at {self.time:.3f} s: {residual}"
                 self._finish(world, ResultCode.SOLVER_DIVERGED, text)
         return report
 
@@ -382,7 +391,9 @@ class _Pickup:
             self._finish(world, ResultCode.FORCE_NOT_REACHED, "the object was squeezed out from between the pads")
 
     def _finish_short(self, world: _World, pads: np.ndarray, platform: float) -> None:
-        touched = [name for name, force in zip(FINGER_NAMES, pads, strict=True) if force > TOUCHING_SHARE * world.target_force]
+        touched = [
+            name for name, force in zip(FINGER_NAMES, pads, strict=True) if force > TOUCHING_SHARE * world.target_force
+        ]
         if len(touched) == 2:
             text = f"the pads reached {pads.sum():.4g} N of the {world.target_force:.4g} N asked for"
             self._finish(world, ResultCode.FORCE_NOT_REACHED, text)

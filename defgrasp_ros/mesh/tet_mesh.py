@@ -58,8 +58,8 @@ class TetMesh:
         flat = np.abs(volumes) <= MIN_RELATIVE_VOLUME * longest**3
         if flat.any():
             raise InvalidMeshError(
-                f"{int(flat.sum())} of {len(tetrahedra)} tetrahedra have no volume (first: element {int(np.argmax(flat))}); "
-                "mesh the surface again, or remove these elements"
+                f"{int(flat.sum())} of {len(tetrahedra)} tetrahedra have no volume (first: element "
+                f"{int(np.argmax(flat))}); mesh the surface again, or remove these elements"
             )
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "tetrahedra", tetrahedra)

@@ -26,6 +26,8 @@ CHECK_INTERVAL = 5
 """ADMM iterations between two looks of the host at what is done."""
 NEWTON_ITERATIONS = 30
 NEWTON_REGULARISATION = 1e-6
+NEWTON_SCALES = (10.0, 1.0)
+"""Scalings of motion to force, relative to ADMM's, tried in turn: each fails on problems that the other solves."""
 
 
 @dataclass
@@ -76,7 +78,15 @@ class CoulombSolver:
         wp.launch(
             kernels.admm_start,
             dim=(rows, capacity),
-            inputs=[problem.count, problem.worlds, problem.friction, problem.rho, self._offset, problem.force, problem.motion],
+            inputs=[
+                problem.count,
+                problem.worlds,
+                problem.friction,
+                problem.rho,
+                self._offset,
+                problem.force,
+                problem.motion,
+            ],
             outputs=[self._z, self._dual, self._right_side],
             device=self.device,
         )
@@ -132,8 +142,14 @@ class CoulombSolver:
         for i in rows:
             w, n = worlds[i], sizes[worlds[i]]
             matrix, q = matrices[w, :n, :n], offset[i].reshape(-1)[:n]
-            force, residual = semismooth_newton(matrix, q, problem.friction, rho[w], z[i].reshape(-1)[:n], tolerance[i])
-            if residual > tolerance[i]:
+            force = None
+            for scale in NEWTON_SCALES:
+                start, goal = z[i].reshape(-1)[:n], 0.1 * tolerance[i] / scale
+                trial, residual = semismooth_newton(matrix, q, problem.friction, scale * rho[w], start, goal)
+                if residual <= goal:
+                    force = trial
+                    break
+            if force is None:
                 continue
             motion = (matrix @ force + q).reshape(-1, 3)
             motion[:, 0] += problem.friction * np.linalg.norm(motion[:, 1:], axis=1)

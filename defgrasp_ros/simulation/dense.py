@@ -42,7 +42,8 @@ class HostAlgebra:
         where ``done[i]`` is 0 at the time of the call."""
         matrices, x, y, flags = matrix.numpy(), vector.numpy(), out.numpy(), done.numpy()
         blocks = [
-            (matrices[w, : sizes[w], : sizes[w]], x[i, : sizes[w]], y[i, : sizes[w]]) for i, w in enumerate(worlds.numpy())
+            (matrices[w, : sizes[w], : sizes[w]], x[i, : sizes[w]], y[i, : sizes[w]])
+            for i, w in enumerate(worlds.numpy())
         ]
 
         def multiply() -> None:
@@ -77,7 +78,12 @@ class DeviceAlgebra:
         square = (len(worlds), largest, largest)
         wp.launch(_shifted_copy, dim=square, inputs=[some, size, shifts, matrix], outputs=[out], device=device)
         for k in range(largest):
-            wp.launch(_take_pivot, dim=(len(worlds), largest), inputs=[some, size, k, out, pivot_row, pivot_column], device=device)
+            wp.launch(
+                _take_pivot,
+                dim=(len(worlds), largest),
+                inputs=[some, size, k, out, pivot_row, pivot_column],
+                device=device,
+            )
             wp.launch(_eliminate, dim=square, inputs=[some, size, k, pivot_row, pivot_column, out], device=device)
 
     def world_product(

@@ -87,7 +87,9 @@ class Bodies:
 
 
 @wp.func
-def triangle_normal(surface: Surface, rest: wp.array[vec3d], displacement: wp.array2d[vec3d], world: int, t: int) -> vec3d:
+def triangle_normal(
+    surface: Surface, rest: wp.array[vec3d], displacement: wp.array2d[vec3d], world: int, t: int
+) -> vec3d:
     """Outward normal of a deformed surface triangle, twice its area long [m^2]."""
     a = surface.triangles[t, 0]
     b = surface.triangles[t, 1]
@@ -198,7 +200,14 @@ def barycentric(p: vec2d, a: vec2d, b: vec2d, c: vec2d) -> vec3d:
 
 @wp.func
 def append(
-    contacts: ContactList, world: int, count: int, key: int, body: int, nodes: wp.vec3i, weights: vec3d, gap: wp.float64,
+    contacts: ContactList,
+    world: int,
+    count: int,
+    key: int,
+    body: int,
+    nodes: wp.vec3i,
+    weights: vec3d,
+    gap: wp.float64,
     gaps: wp.array2d[wp.float64],
 ) -> int:
     """Write a candidate if there is room, and return the count with it: a count above the capacity tells to grow."""
@@ -248,7 +257,9 @@ def find_contacts(
             if body != PLATFORM:
                 if gap < -outline.depth or not inside(pad_coordinates(bodies, world, x), outline, outline.snap):
                     continue
-            count = append(contacts, world, count, first_key + n, body, wp.vec3i(n, n, n), vec3d(one, zero, zero), gap, gap_out)
+            count = append(
+                contacts, world, count, first_key + n, body, wp.vec3i(n, n, n), vec3d(one, zero, zero), gap, gap_out
+            )
 
         if body == PLATFORM:
             continue
@@ -276,8 +287,15 @@ def find_contacts(
                 if gap > margin or gap < -outline.depth:
                     continue
                 count = append(
-                    contacts, world, count, first_key + surface.edge_key + 4 * e + side, body,
-                    wp.vec3i(a, b, b), vec3d(one - f, f, zero), gap, gap_out,
+                    contacts,
+                    world,
+                    count,
+                    first_key + surface.edge_key + 4 * e + side,
+                    body,
+                    wp.vec3i(a, b, b),
+                    vec3d(one - f, f, zero),
+                    gap,
+                    gap_out,
                 )
 
         for t in range(surface.triangles.shape[0]):
@@ -287,7 +305,9 @@ def find_contacts(
             xa = rest[a] + displacement[world, a]
             xb = rest[b] + displacement[world, b]
             xc = rest[c] + displacement[world, c]
-            gaps = vec3d(body_gap(bodies, world, body, xa), body_gap(bodies, world, body, xb), body_gap(bodies, world, body, xc))
+            gaps = vec3d(
+                body_gap(bodies, world, body, xa), body_gap(bodies, world, body, xb), body_gap(bodies, world, body, xc)
+            )
             if wp.min(gaps) > margin or wp.max(gaps) < -outline.depth:
                 continue
             if wp.dot(wp.cross(xb - xa, xc - xa), towards) >= zero:
@@ -303,8 +323,15 @@ def find_contacts(
                 if gap > margin or gap < -outline.depth:
                     continue
                 count = append(
-                    contacts, world, count, first_key + surface.corner_key + 4 * t + corner, body,
-                    wp.vec3i(a, b, c), weights, gap, gap_out,
+                    contacts,
+                    world,
+                    count,
+                    first_key + surface.corner_key + 4 * t + corner,
+                    body,
+                    wp.vec3i(a, b, c),
+                    weights,
+                    gap,
+                    gap_out,
                 )
     contacts.count[world] = count
 

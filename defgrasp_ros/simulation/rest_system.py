@@ -54,7 +54,9 @@ class RestSystem:
         lapack = scipy.linalg.lapack
         factor, failed = lapack.dpotrf(matrix.T, lower=1, overwrite_a=1)
         if failed:
-            raise InvalidMeshError("the mesh has no positive definite stiffness: it contains degenerate or inverted tetrahedra")
+            raise InvalidMeshError(
+                "the mesh has no positive definite stiffness: it contains degenerate or inverted tetrahedra"
+            )
         lower, _ = lapack.dpotri(factor, lower=1, overwrite_c=1)
         inverse = np.tril(lower) + np.tril(lower, -1).T
         rigid_diagonal = step_length**2 * (self._rigid_modes**2).sum(axis=1)

@@ -1,0 +1,160 @@
+"""The ``defgrasp`` command: evaluate grasps without ROS."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from defgrasp_ros import evaluation as ev
+from defgrasp_ros.errors import DefgraspError, InvalidGraspError
+from defgrasp_ros.gripper import DEFAULT_GRIPPER, load_gripper
+from defgrasp_ros.material import Material
+from defgrasp_ros.object_model import ObjectModel
+
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
+DEFAULTS = ev.EvaluationOptions()
+MATERIAL = Material()
+
+
+@app.callback()
+def _defgrasp() -> None:
+    """Simulate how grasps of a deformable object turn out."""
+
+
+@app.command()
+def evaluate(
+    object_file: Annotated[Path, typer.Argument(metavar="OBJECT", help="Mesh: .tet, .msh, .stl, .obj, .ply or .off")],
+    grasps: Annotated[Path, typer.Option(help="Grasp poses: .json in our frame, or .h5 of DefGraspSim")],
+    youngs_modulus: Annotated[float, typer.Option(help="Young's modulus [Pa]")] = MATERIAL.youngs_modulus,
+    poissons_ratio: Annotated[float, typer.Option(help="Poisson's ratio [-]")] = MATERIAL.poissons_ratio,
+    density: Annotated[float, typer.Option(help="Density [kg/m^3]")] = MATERIAL.density,
+    friction: Annotated[float, typer.Option(help="Coulomb friction coefficient [-]")] = MATERIAL.friction_coefficient,
+    grasp_indices: Annotated[str | None, typer.Option(help="Rows of the grasp file to evaluate, as 0,3,7")] = None,
+    scale: Annotated[float, typer.Option(help="Factor on the mesh's coordinates; 0.001 for millimetres")] = 1.0,
+    edge_length: Annotated[
+        float | None, typer.Option(help="Target edge of the tetrahedra of a surface mesh [m]")
+    ] = None,
+    gripper: Annotated[str, typer.Option(help="Gripper description in config/grippers")] = DEFAULT_GRIPPER,
+    safety_factor: Annotated[
+        float, typer.Option(help="Target force = factor x m g / mu [-]")
+    ] = DEFAULTS.force_safety_factor,
+    hold_time: Annotated[float, typer.Option(help="How long the object must be held [s]")] = DEFAULTS.pickup_hold_time,
+    time_step: Annotated[float, typer.Option(help="Time step [s]")] = DEFAULTS.time_step,
+    device: Annotated[str, typer.Option(help="cpu or cuda:0")] = "cpu",
+    output: Annotated[Path | None, typer.Option(help="Folder for evaluations.json and evaluations.png")] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON document on standard output, and nothing else")
+    ] = False,
+) -> None:
+    """Squeeze and pick up OBJECT with every grasp; report features, metrics and why a grasp failed."""
+    from defgrasp_ros.experiments import evaluate_grasps
+    from defgrasp_ros.grasp_files import read_grasps
+    from defgrasp_ros.mesh.mesh_files import read_mesh
+    from defgrasp_ros.report import document, evaluation_table, material_text
+
+    console = Console(stderr=True)
+    material = Material(youngs_modulus, poissons_ratio, density, friction)
+    options = ev.EvaluationOptions(
+        force_safety_factor=safety_factor,
+        pickup_hold_time=hold_time,
+        time_step=time_step,
+        return_fields=output is not None,
+    )
+    hand = load_gripper(gripper)
+    indices, chosen = _chosen(read_grasps(grasps), grasp_indices)
+    model = ObjectModel(object_file.stem, read_mesh(object_file, scale=scale, target_edge_length=edge_length), material)
+    console.print(
+        f"{model.name}: {len(model.mesh.vertices)} nodes, {len(model.mesh.tetrahedra)} tetrahedra, "
+        f"{1e3 * model.mass:.1f} g"
+    )
+    console.print(material_text(material))
+    with ProgressBar(console, len(chosen)) as bar:
+        evaluations = evaluate_grasps(model, chosen, hand, options, device, bar)
+    for index, evaluation in zip(indices, evaluations, strict=True):
+        evaluation.grasp_index = index
+
+    result = document(model, options, device, evaluations)
+    if output is not None:
+        _write(output, result, model, hand, chosen, evaluations, console)
+    if as_json:
+        json.dump(result, sys.stdout, allow_nan=False)
+        sys.stdout.write("\n")
+        return
+    screen = Console()
+    screen.print(evaluation_table(evaluations))
+    for evaluation in evaluations:
+        if not evaluation.metrics.pickup_success:
+            screen.print(f"{evaluation.grasp_id}: {evaluation.message}", highlight=False)
+    counts = Counter(evaluation.code.name for evaluation in evaluations)
+    screen.print(", ".join(f"{count} {name}" for name, count in counts.most_common()))
+
+
+def _chosen(grasps: list, indices: str | None) -> tuple[list[int], list]:
+    """The grasps of the given rows, and the rows."""
+    if indices is None:
+        return list(range(len(grasps))), grasps
+    try:
+        rows = [int(text) for text in indices.split(",")]
+    except ValueError:
+        raise InvalidGraspError(f"--grasp-indices = '{indices}' is not a list of row numbers such as 0,3,7") from None
+    wrong = [row for row in rows if not 0 <= row < len(grasps)]
+    if wrong:
+        raise InvalidGraspError(
+            f"--grasp-indices: row {wrong[0]} does not exist; the file has rows 0 to {len(grasps) - 1}"
+        )
+    return rows, [grasps[row] for row in rows]
+
+
+def _write(
+    output: Path, result: dict, model: ObjectModel, hand, grasps: list, evaluations: list, console: Console
+) -> None:
+    from defgrasp_ros.picture import draw_evaluations
+
+    output.mkdir(parents=True, exist_ok=True)
+    (output / "evaluations.json").write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
+    draw_evaluations(output / "evaluations.png", model, hand, grasps, evaluations)
+    console.print(f"wrote {output / 'evaluations.json'} and {output / 'evaluations.png'}")
+
+
+class ProgressBar(ev.EvaluationObserver):
+    """Shows how far a run is."""
+
+    sample_interval = float("inf")
+
+    def __init__(self, console: Console, grasp_count: int):
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+        self._progress = Progress(*columns, console=console, transient=True)
+        self._task = self._progress.add_task(f"{grasp_count} grasps", total=1.0)
+        self._grasp_count = grasp_count
+
+    def __enter__(self) -> ProgressBar:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def on_progress(self, progress: ev.Progress) -> None:
+        phase = progress.phase.name.lower().replace("_", " ")
+        text = f"{phase}, {progress.active_grasps} of {self._grasp_count} grasps running"
+        self._progress.update(self._task, completed=progress.fraction, description=text)
+
+
+def main() -> None:
+    """Run the command; what the user can mend ends with one line, not with a traceback."""
+    try:
+        app()
+    except DefgraspError as error:
+        Console(stderr=True).print(f"[red]error[/] {error.code.name}: {error}", highlight=False)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Object meshes: reading, checking, tetrahedralisation and shapes made by code."""

@@ -1,0 +1,47 @@
+"""A recorded topic and the description of its quality of service that players of bags need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from defgrasp_ros.recording.definitions import type_name_of
+
+UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
+"""The duration that ROS takes for "no limit" (2^63 - 1 ns)."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic with the quality of service with which it is published.
+
+    Args:
+        name: Full name, or name relative to the node.
+        message_class: Message class, e.g. ``sensor_msgs.msg.JointState``.
+        depth: How many messages the publisher keeps.
+        latched: Whether a late subscriber gets the kept messages (durability ``transient_local``).
+    """
+
+    name: str
+    message_class: type
+    depth: int
+    latched: bool = False
+
+    @property
+    def type_name(self) -> str:
+        """Full message type, e.g. ``sensor_msgs/msg/JointState``."""
+        return type_name_of(self.message_class)
+
+    @property
+    def offered_qos_profile(self) -> dict:
+        """The publisher's quality of service, in the words of a rosbag2 metadata file of version 9."""
+        return {
+            "history": "keep_last",
+            "depth": self.depth,
+            "reliability": "reliable",
+            "durability": "transient_local" if self.latched else "volatile",
+            "deadline": dict(UNLIMITED),
+            "lifespan": dict(UNLIMITED),
+            "liveliness": "automatic",
+            "liveliness_lease_duration": dict(UNLIMITED),
+            "avoid_ros_namespace_conventions": False,
+        }

@@ -1,0 +1,150 @@
+"""One request from message to answer: check and read it, simulate, log, answer."""
+
+from __future__ import annotations
+
+import uuid
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from threading import Event
+
+from defgrasp_interfaces import msg
+from defgrasp_interfaces.srv import EvaluateGrasp
+from rclpy.node import Node
+
+from defgrasp_ros.errors import EmptyGraspListError, InvalidGraspError, ResultCode, TooManyGraspsError
+from defgrasp_ros.evaluation import EvaluationOptions, GraspEvaluation
+from defgrasp_ros.grasp import Grasp
+from defgrasp_ros.gripper import Gripper, load_gripper
+from defgrasp_ros.object_model import ObjectModel
+from defgrasp_ros.recording import provenance
+from defgrasp_ros.ros.outputs import Outputs
+from defgrasp_ros.ros.parameters import experiment_defaults, log_directory
+from defgrasp_ros.ros.request_conversion import grasp_from_message, object_from_message, options_from_message
+from defgrasp_ros.ros.run_observer import RunObserver
+from defgrasp_ros.ros.status_reporter import StatusReporter
+from defgrasp_ros.ros.topics import REQUEST
+
+
+@dataclass(frozen=True)
+class CheckedGrasps:
+    """The grasps of a request: those that can be simulated, and the verdict on the others."""
+
+    valid: dict[int, Grasp]
+    """By index in the request."""
+    refused: list[GraspEvaluation]
+
+
+class EvaluationRun:
+    """Evaluates the grasps of one request.
+
+    Args:
+        node: For its clock and logger.
+        outputs: Takes the messages.
+        status: Is told what happens.
+        parameters: Values of the node's parameters.
+        stop: Ends the run early when set.
+    """
+
+    def __init__(self, node: Node, outputs: Outputs, status: StatusReporter, parameters: dict, stop: Event) -> None:
+        self.id = f"{datetime.now():%Y_%m_%d-%H_%M_%S}-{uuid.uuid4().hex[:6]}"
+        self._clock = node.get_clock()
+        self._logger = node.get_logger()
+        self._outputs = outputs
+        self._status = status
+        self._parameters = parameters
+        self._stop = stop
+
+    def answer(self, request: msg.EvaluationRequest) -> EvaluateGrasp.Response:
+        """Evaluate the grasps; one without meaning gets its own code, and the others are evaluated all the same.
+
+        Raises:
+            DefgraspError: If the request as a whole is refused, naming field and value.
+        """
+        grasps = check_grasps(request.grasps, self._parameters["max_grasps"])
+        gripper = load_gripper(request.gripper or self._parameters["gripper"])
+        options = options_from_message(request.options, experiment_defaults(self._parameters))
+        self._status.meshing(self.id, request.object.name, len(request.grasps), self._parameters["device"])
+        object_model = object_from_message(request.object, self._parameters["max_tetrahedra"])
+        self._logger.info(
+            f"run {self.id}: object '{object_model.name}' of {len(object_model.mesh.tetrahedra)} tetrahedra, "
+            f"{len(request.grasps)} grasps on {self._parameters['device']}"
+        )
+        if request.options.record and self._parameters["record.enabled"]:
+            origin = provenance(self._parameters["device"], self._parameters)
+            self._outputs.start_log(log_directory(self._parameters), self.id, origin)
+        try:
+            evaluations = self._simulate(request, object_model, grasps, gripper, options)
+        finally:
+            self._status.finishing()
+            log_path, problem = self._outputs.end_log()
+        return EvaluateGrasp.Response(
+            result=self._result(evaluations, problem),
+            evaluations=evaluations,
+            log_uri=log_path.as_uri() if log_path else "",
+        )
+
+    def _simulate(
+        self,
+        request: msg.EvaluationRequest,
+        object_model: ObjectModel,
+        grasps: CheckedGrasps,
+        gripper: Gripper,
+        options: EvaluationOptions,
+    ) -> list[msg.GraspEvaluation]:
+        from defgrasp_ros.experiments import evaluate_grasps  # loads the simulator
+
+        start_time = self._clock.now().nanoseconds
+        self._outputs.log(REQUEST, request, start_time)
+        observer = RunObserver(
+            self._outputs,
+            self._status,
+            grasps.valid,
+            start_time=start_time,
+            sample_interval=1.0 / self._parameters["publish.sample_rate"],
+            stop=self._stop,
+        )
+        for evaluation in grasps.refused:
+            observer.send_evaluation(evaluation)
+        device = self._parameters["device"]
+        simulated = evaluate_grasps(object_model, list(grasps.valid.values()), gripper, options, device, observer)
+        evaluations = [*grasps.refused, *map(observer.in_request, simulated)]
+        evaluations.sort(key=lambda evaluation: evaluation.grasp_index)
+        return [observer.message(evaluation) for evaluation in evaluations]
+
+    def _result(self, evaluations: Sequence[msg.GraspEvaluation], recording_problem: str) -> msg.Result:
+        codes = Counter(ResultCode(evaluation.result.code).name for evaluation in evaluations)
+        counts = ", ".join(f"{count} {name}" for name, count in codes.most_common())
+        message = f"{len(evaluations)} grasps: {counts}"
+        if recording_problem:
+            message += f"; not logged: {recording_problem}"
+        canceled = codes[ResultCode.CANCELED.name] > 0
+        return msg.Result(code=ResultCode.CANCELED if canceled else ResultCode.OK, message=message)
+
+
+def check_grasps(messages: Sequence[msg.Grasp], max_grasps: int) -> CheckedGrasps:
+    """Read the grasps of a request.
+
+    Raises:
+        EmptyGraspListError: If there is none.
+        TooManyGraspsError: If there are more than ``max_grasps``.
+        InvalidGraspError: If not one of them has a meaning.
+    """
+    if not messages:
+        raise EmptyGraspListError("the request has no grasps; give at least one")
+    if len(messages) > max_grasps:
+        raise TooManyGraspsError(
+            f"the request has {len(messages)} grasps, more than max_grasps = {max_grasps}; ask in several requests"
+        )
+    valid: dict[int, Grasp] = {}
+    errors: dict[int, InvalidGraspError] = {}
+    for index, message in enumerate(messages):
+        try:
+            valid[index] = grasp_from_message(message)
+        except InvalidGraspError as error:
+            errors[index] = error
+    if not valid:
+        raise errors[0]
+    refused = [GraspEvaluation(i, messages[i].id, code=error.code, message=str(error)) for i, error in errors.items()]
+    return CheckedGrasps(valid, refused)

@@ -1,0 +1,61 @@
+"""The ways in which a request can give the shape of its object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from defgrasp_ros.mesh.tet_mesh import TetMesh
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """A mesh file that the evaluator reads; it must be on the evaluator's machine.
+
+    Args:
+        path: Surface (``.stl``, ``.obj``, ``.ply``, ``.off``) or tetrahedra (``.tet``, ``.msh``).
+        scale: Factor on all vertices [-], e.g. 0.001 for a file in millimetres.
+        target_edge_length: Edge length of the tetrahedra made from a surface [m]; None: from the object's size.
+    """
+
+    path: Path | str
+    scale: float = 1.0
+    target_edge_length: float | None = None
+
+
+@dataclass(frozen=True)
+class MeshData:
+    """The content of a mesh file, for an evaluator on another machine.
+
+    Args:
+        data: The file's content.
+        format: Its suffix without dot, e.g. ``"stl"``.
+        scale: Factor on all vertices [-].
+        target_edge_length: Edge length of the tetrahedra made from a surface [m]; None: from the object's size.
+    """
+
+    data: bytes
+    format: str
+    scale: float = 1.0
+    target_edge_length: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A closed triangle surface that the evaluator fills with tetrahedra.
+
+    Args:
+        vertices: Positions in the object frame [m], shape ``(vertex, 3)``.
+        triangles: Vertex indices, counter-clockwise from outside, shape ``(triangle, 3)``.
+        target_edge_length: Edge length of the tetrahedra [m]; None: from the object's size.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    target_edge_length: float | None = None
+
+
+ObjectSource = MeshFile | MeshData | Surface | TetMesh
+"""The shape of an object, in one of the four ways of ``defgrasp_interfaces/msg/ObjectModel``."""

@@ -1,0 +1,150 @@
+"""The parameters of the evaluator: one table, from which declarations and ``config/evaluator.yaml`` come.
+
+``python -m defgrasp_ros.ros.parameters`` prints the YAML file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+
+from defgrasp_ros.errors import DefgraspError
+from defgrasp_ros.evaluation import EvaluationObserver, EvaluationOptions
+from defgrasp_ros.gripper import DEFAULT_GRIPPER, load_gripper
+from defgrasp_ros.mesh.tetrahedralize import MAX_TETRAHEDRA
+
+EXPERIMENT = "experiment."
+"""Prefix of the parameters that stand in for options left 0 in a request."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One row of the table; a change takes effect with the next request."""
+
+    name: str
+    default: bool | int | float | str
+    description: str
+    unit: str = ""
+    range: tuple[float, float] | None = None
+
+    @property
+    def text(self) -> str:
+        """Description with unit and range."""
+        unit = f" [{self.unit}]" if self.unit else ""
+        bounds = ", {} to {}".format(*self.range) if self.range else ""
+        return f"{self.description}{unit}{bounds}"
+
+    @property
+    def descriptor(self) -> ParameterDescriptor:
+        """The row as ROS wants it."""
+        descriptor = ParameterDescriptor(name=self.name, description=self.text)
+        if self.range and isinstance(self.default, float):
+            low, high = self.range
+            descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
+        elif self.range:
+            low, high = map(int, self.range)
+            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
+        return descriptor
+
+
+def _experiment_parameters() -> list[Parameter]:
+    """The options' own defaults; their ranges are checked where the options are."""
+    texts = {
+        "force_safety_factor": ("Default target force of a grasp is this x m g / friction coefficient", ""),
+        "pickup_hold_time": ("How long both fingers must keep contact after the platform has gone", "s"),
+        "platform_speed": ("Speed with which the platform sinks", "m/s"),
+        "squeeze_time": ("Duration of the force ramp from 0 to the target force", "s"),
+        "time_step": ("Time step of the simulation", "s"),
+    }
+    defaults = EvaluationOptions()
+    return [Parameter(EXPERIMENT + name, getattr(defaults, name), *text) for name, text in texts.items()]
+
+
+PARAMETERS = (
+    Parameter("device", "cpu", "Where the simulation runs: cpu, cuda:0 ..."),
+    Parameter("gripper", DEFAULT_GRIPPER, "Gripper of requests that name none: a file of config/grippers"),
+    Parameter("max_grasps", 1000, "Most grasps in one request; more are refused", range=(1, 1_000_000)),
+    Parameter(
+        "max_tetrahedra",
+        MAX_TETRAHEDRA,
+        "Most tetrahedra of an object; more are refused",
+        range=(1, MAX_TETRAHEDRA),
+    ),
+    Parameter(
+        "publish.sample_rate",
+        1.0 / EvaluationObserver.sample_interval,
+        "Joint states and contacts of each grasp per simulated second",
+        "1/s",
+        range=(0.1, 1000.0),
+    ),
+    Parameter("record.enabled", True, "Whether runs are logged; a request can ask for no log of its own run"),
+    Parameter("record.directory", "", "Folder of the logs; empty: $ROS_HOME/defgrasp, or ~/.ros/defgrasp"),
+    *_experiment_parameters(),
+)
+
+
+def declare_parameters(node: Node) -> None:
+    """Declare every parameter of the table; values outside their ranges are refused, now and later."""
+    node.add_on_set_parameters_callback(_check)
+    for parameter in PARAMETERS:
+        node.declare_parameter(parameter.name, parameter.default, parameter.descriptor)
+
+
+def parameter_values(node: Node) -> dict[str, bool | int | float | str]:
+    """Return the present value of every parameter of the table."""
+    return {parameter.name: node.get_parameter(parameter.name).value for parameter in PARAMETERS}
+
+
+def experiment_defaults(values: dict) -> EvaluationOptions:
+    """Return the options that apply where a request leaves them 0."""
+    given = {name.removeprefix(EXPERIMENT): value for name, value in values.items() if name.startswith(EXPERIMENT)}
+    return dataclasses.replace(EvaluationOptions(), **given)
+
+
+def log_directory(values: dict) -> Path:
+    """Return the folder of the logs."""
+    ros_home = os.environ.get("ROS_HOME") or "~/.ros"
+    return Path(values["record.directory"] or f"{ros_home}/defgrasp").expanduser()
+
+
+def parameters_yaml() -> str:
+    """Return the table as a parameter file with every default."""
+    lines = [
+        "# Parameters of the evaluator with their defaults; pass a copy with --ros-args --params-file.",
+        "# A change takes effect with the next request.",
+        "/**:",
+        "  ros__parameters:",
+    ]
+    group = ""
+    for parameter in PARAMETERS:
+        *path, name = parameter.name.split(".")
+        if path and path[0] != group:
+            group = path[0]
+            lines.append(f"    {group}:")
+        indent = "      " if path else "    "
+        value = yaml.safe_dump(parameter.default).splitlines()[0]
+        lines += [f"{indent}# {parameter.text}", f"{indent}{name}: {value}"]
+    return "\n".join(lines) + "\n"
+
+
+def _check(parameters: list[RosParameter]) -> SetParametersResult:
+    for parameter in parameters:
+        try:
+            if parameter.name == "gripper":
+                load_gripper(parameter.value)
+            elif parameter.name.startswith(EXPERIMENT):
+                experiment_defaults({parameter.name: parameter.value})
+        except DefgraspError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+    return SetParametersResult(successful=True)
+
+
+if __name__ == "__main__":
+    print(parameters_yaml(), end="")

@@ -1,0 +1,218 @@
+"""Requests: domain objects to messages (the client's side) and back, with every check (the evaluator's side)."""
+
+from __future__ import annotations
+
+import array
+import dataclasses
+from pathlib import Path
+from urllib.parse import unquote
+
+import numpy as np
+from defgrasp_interfaces import msg
+from shape_msgs.msg import MeshTriangle
+
+from defgrasp_ros.checks import require_in_range
+from defgrasp_ros.errors import InvalidMeshError, MeshTooLargeError, UnknownFrameError
+from defgrasp_ros.evaluation import EvaluationOptions
+from defgrasp_ros.grasp import Grasp
+from defgrasp_ros.material import Material
+from defgrasp_ros.mesh.mesh_files import read_mesh, read_mesh_bytes
+from defgrasp_ros.mesh.object_mesh import mesh_from_surface, mesh_from_tetrahedra
+from defgrasp_ros.mesh.tet_mesh import TetMesh
+from defgrasp_ros.object_model import ObjectModel
+from defgrasp_ros.ros.fields import extract, fill, flat, point_message, rows
+from defgrasp_ros.ros.object_source import MeshData, MeshFile, ObjectSource, Surface
+
+OBJECT_FRAME = "object"
+"""Name of the object frame in message headers."""
+
+FILE_SCHEME = "file://"
+
+
+# Material
+
+
+def material_to_message(material: Material) -> msg.Material:
+    """Return the message of a material."""
+    return fill(msg.Material(), material)
+
+
+def material_from_message(message: msg.Material) -> Material:
+    """Return the material of a message.
+
+    Raises:
+        InvalidMaterialError: If a value is outside its physical range.
+    """
+    return extract(Material, message)
+
+
+# Grasps
+
+
+def grasp_to_message(grasp: Grasp) -> msg.Grasp:
+    """Return the message of a grasp, in the object frame."""
+    message = msg.Grasp(id=grasp.id, target_force=grasp.target_force or 0.0)
+    message.pose.header.frame_id = OBJECT_FRAME
+    message.pose.pose.position = point_message(grasp.position)
+    orientation = message.pose.pose.orientation
+    orientation.x, orientation.y, orientation.z, orientation.w = map(float, grasp.orientation)
+    return message
+
+
+def grasp_from_message(message: msg.Grasp) -> Grasp:
+    """Return the grasp of a message.
+
+    Raises:
+        UnknownFrameError: If the pose is not given in the object frame.
+        InvalidGraspError: If a number of the pose, or the target force, has no meaning.
+    """
+    frame = message.pose.header.frame_id
+    if frame not in ("", OBJECT_FRAME):
+        raise UnknownFrameError(
+            f"grasp '{message.id}': pose.header.frame_id = '{frame}' is not known; give the pose in '{OBJECT_FRAME}', "
+            "the frame of the mesh vertices"
+        )
+    position, orientation = message.pose.pose.position, message.pose.pose.orientation
+    return Grasp(
+        id=message.id,
+        position=np.array([position.x, position.y, position.z]),
+        orientation=np.array([orientation.x, orientation.y, orientation.z, orientation.w]),
+        target_force=None if message.target_force == 0.0 else message.target_force,
+    )
+
+
+# Options
+
+
+def options_to_message(options: EvaluationOptions) -> msg.ExperimentOptions:
+    """Return the message of options; a number 0 means the evaluator's own value there."""
+    return fill(msg.ExperimentOptions(), options)
+
+
+def options_from_message(message: msg.ExperimentOptions, defaults: EvaluationOptions) -> EvaluationOptions:
+    """Return the options of a message, with ``defaults`` where a number is 0.
+
+    Raises:
+        InvalidOptionsError: If a value is outside its range.
+    """
+    given = {field.name: getattr(message, field.name) for field in dataclasses.fields(EvaluationOptions)}
+    numbers_left_out = [name for name, value in given.items() if not isinstance(value, bool) and value == 0.0]
+    return dataclasses.replace(defaults, **{name: given[name] for name in given if name not in numbers_left_out})
+
+
+# Object
+
+
+def object_to_message(source: ObjectSource, material: Material, name: str = "") -> msg.ObjectModel:
+    """Return the message of an object.
+
+    Args:
+        source: Its shape.
+        material: Its material.
+        name: Its name in status and logs.
+    """
+    message = msg.ObjectModel(name=name, material=material_to_message(material))
+    match source:
+        case MeshFile():
+            message.uri = Path(source.path).absolute().as_uri()
+            message.scale = float(source.scale)
+        case MeshData():
+            message.data = flat(np.frombuffer(source.data, dtype=np.uint8), "B")
+            message.format = source.format
+            message.scale = float(source.scale)
+        case Surface():
+            triangles = np.asarray(source.triangles, dtype=np.uint32)
+            message.surface.vertices = [point_message(vertex) for vertex in source.vertices]
+            message.surface.triangles = [MeshTriangle(vertex_indices=triangle) for triangle in triangles]
+        case TetMesh():
+            message.tetrahedra.vertices = flat(source.vertices)
+            message.tetrahedra.tetrahedra = flat(source.tetrahedra, "I")
+            return message
+        case _:
+            kind = type(source).__name__
+            raise TypeError(f"the shape of an object is a MeshFile, MeshData, Surface or TetMesh, not {kind}")
+    message.target_edge_length = float(source.target_edge_length or 0.0)
+    return message
+
+
+def object_from_message(message: msg.ObjectModel, max_tetrahedra: int) -> ObjectModel:
+    """Return the object of a message; a surface is filled with tetrahedra.
+
+    Args:
+        message: The object's message.
+        max_tetrahedra: Largest number of tetrahedra that is accepted [-].
+
+    Raises:
+        InvalidMaterialError: If a material value is outside its physical range.
+        InvalidMeshError: If the shape is not given in exactly one way, cannot be read, or is no solid that can be
+            simulated.
+        NotFoundError: If the mesh file does not exist.
+    """
+    material = material_from_message(message.material)
+    mesh = _mesh_from_message(message)
+    if len(mesh.tetrahedra) > max_tetrahedra:
+        raise MeshTooLargeError(
+            f"the object has {len(mesh.tetrahedra)} tetrahedra, more than max_tetrahedra = {max_tetrahedra}; "
+            "give a larger object.target_edge_length or a coarser mesh"
+        )
+    return ObjectModel(message.name, mesh, material)
+
+
+def _mesh_from_message(message: msg.ObjectModel) -> TetMesh:
+    shapes = {
+        "uri": message.uri,
+        "data": message.data,
+        "surface": message.surface.vertices or message.surface.triangles,
+        "tetrahedra": message.tetrahedra.vertices or message.tetrahedra.tetrahedra,
+    }
+    given = [name for name, shape in shapes.items() if len(shape)]
+    if len(given) != 1:
+        raise InvalidMeshError(
+            f"the object's shape is given by {' and '.join(given) or 'nothing'}; "
+            "give exactly one of object.uri, object.data, object.surface and object.tetrahedra"
+        )
+    scale = require_in_range(InvalidMeshError, "object.scale", message.scale, 0.0) or 1.0
+    size = require_in_range(InvalidMeshError, "object.target_edge_length", message.target_edge_length, 0.0, unit="m")
+    try:
+        return _read_shape(given[0], message, scale, target_edge_length=size or None)
+    except InvalidMeshError as error:
+        raise type(error)(f"object.{given[0]}: {error}") from error
+
+
+def _read_shape(way: str, message: msg.ObjectModel, scale: float, target_edge_length: float | None) -> TetMesh:
+    match way:
+        case "uri":
+            return read_mesh(path_of_uri(message.uri), scale=scale, target_edge_length=target_edge_length)
+        case "data":
+            data = bytes(message.data)
+            return read_mesh_bytes(data, message.format, scale=scale, target_edge_length=target_edge_length)
+        case "surface":
+            points = [[point.x, point.y, point.z] for point in message.surface.vertices]
+            corners = [triangle.vertex_indices for triangle in message.surface.triangles]
+            vertices, triangles = np.array(points).reshape(-1, 3), np.array(corners, dtype=np.int64).reshape(-1, 3)
+            return mesh_from_surface(vertices, triangles, scale=scale, target_edge_length=target_edge_length)
+        case _:
+            vertices = _rows_of("vertices", message.tetrahedra.vertices, 3)
+            tetrahedra = _rows_of("tetrahedra", message.tetrahedra.tetrahedra, 4)
+            return mesh_from_tetrahedra(vertices, tetrahedra.astype(np.int64), scale=scale)
+
+
+def _rows_of(name: str, values: array.array, width: int) -> np.ndarray:
+    if len(values) % width:
+        raise InvalidMeshError(f"{name} has {len(values)} numbers, which is no multiple of {width}")
+    return rows(values, width)
+
+
+def path_of_uri(uri: str) -> Path:
+    """Return the absolute path of a ``file://`` URI, percent signs decoded.
+
+    Raises:
+        InvalidMeshError: If the URI has another scheme, names another machine, or its path is not absolute.
+    """
+    path = unquote(uri.removeprefix(FILE_SCHEME).removeprefix("localhost"))
+    if not uri.startswith(FILE_SCHEME) or not path.startswith("/"):
+        raise InvalidMeshError(
+            f"'{uri}' cannot be read; give file:// and an absolute path on the evaluator's machine, "
+            "e.g. file:///home/me/banana.stl, or send the content in object.data"
+        )
+    return Path(path)

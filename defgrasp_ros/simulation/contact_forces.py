@@ -1,0 +1,48 @@
+"""The loaded contact points of one world, as the protocol looks at them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from defgrasp_ros.evaluation import FINGER_NAMES, FingerContact
+
+SLIPPING_SHARE = 0.999
+"""A point slips when its friction force reaches this share of mu times its normal force [-]."""
+
+
+@dataclass
+class ContactForces:
+    """Points that carry force; vectors in the object frame, shape ``(contact, 3)``."""
+
+    body: np.ndarray
+    """0 left pad, 1 right pad, 2 platform, shape ``(contact,)``."""
+    positions: np.ndarray
+    normals: np.ndarray
+    """Unit, from the body into the object."""
+    forces: np.ndarray
+    """On the object [N]."""
+    nodes: np.ndarray
+    """The nodes whose weighted mean the point is."""
+    weights: np.ndarray
+    friction: float
+
+    def normal_force(self, body: int) -> float:
+        """Sum of the normal forces of one body [N]."""
+        mine = self.body == body
+        return float(np.einsum("ij,ij->", self.forces[mine], self.normals[mine]))
+
+    def fingers(self) -> tuple[FingerContact, FingerContact]:
+        """What the left and the right finger feel."""
+        left, right = (self._finger(pad, name) for pad, name in enumerate(FINGER_NAMES))
+        return left, right
+
+    def _finger(self, pad: int, name: str) -> FingerContact:
+        mine = self.body == pad
+        finger = FingerContact(name, self.positions[mine], self.normals[mine], self.forces[mine])
+        friction_force = self.forces[mine] - finger.normal_forces[:, None] * self.normals[mine]
+        limit = self.friction * finger.normal_forces
+        at_limit = np.linalg.norm(friction_force, axis=1) > SLIPPING_SHARE * limit
+        finger.slipping = bool(finger.count and at_limit.all())
+        return finger

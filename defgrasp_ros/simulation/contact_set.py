@@ -1,0 +1,261 @@
+"""The contact points of all worlds: finding them, their compliance, their forces and their residual."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from defgrasp_ros.simulation import kernels_contact as contact
+from defgrasp_ros.simulation import kernels_coulomb as coulomb
+from defgrasp_ros.simulation.coulomb import ContactProblem, CoulombSolver
+from defgrasp_ros.simulation.dense import DeviceAlgebra, HostAlgebra
+from defgrasp_ros.simulation.device_model import DeviceModel
+from defgrasp_ros.simulation.shared_compliance import SharedCompliance
+from defgrasp_ros.simulation.types import vec3d
+from defgrasp_ros.simulation.world_state import WorldState, set_entries
+
+wp.set_module_options({"enable_backward": False})
+
+INITIAL_CAPACITY = 32
+"""Contact points per world; grows in steps of this."""
+MARGIN = 2e-3
+"""Gap below which a point becomes a candidate, relative to the mean surface edge [-]."""
+PENETRATION = 1e-5
+"""Depth of an unlisted point that makes a step look for contacts again, relative to the object's size [-]."""
+
+
+class ContactSet:
+    """Candidate points with their forces, and the contact problem that they pose.
+
+    ``rows`` of the methods are lists of worlds on the device; work buffers have one row per entry.
+    """
+
+    def __init__(
+        self,
+        model: DeviceModel,
+        state: WorldState,
+        world_count: int,
+        size: float,
+        device: wp.Device,
+        algebra: HostAlgebra | DeviceAlgebra,
+    ):
+        self._model = model
+        self._state = state
+        self._world_count = world_count
+        self._device = device
+        self._algebra = algebra
+        self._margin = MARGIN * model.mean_edge
+        self._penetration = PENETRATION * size
+        self._normal = wp.zeros((world_count, model.node_count), dtype=vec3d, device=device)
+        self._no_correction = wp.zeros((world_count, model.node_count), dtype=vec3d, device=device)
+        self._missing = wp.zeros(world_count, dtype=int, device=device)
+        self._residual = wp.zeros(world_count, dtype=wp.float64, device=device)
+        self.stale = wp.ones(world_count, dtype=int, device=device)
+        """Worlds whose compliance must be assembled anew."""
+        self._assembled_step = np.zeros(world_count)
+        self._allocate(INITIAL_CAPACITY)
+
+    def _allocate(self, capacity: int) -> None:
+        worlds, device = self._world_count, self._device
+        old = getattr(self, "lists", None)
+        self.capacity = capacity
+        self.lists, self._found = self._contact_list(capacity), self._contact_list(capacity)
+        if old is not None:
+            every = wp.array(np.arange(worlds), dtype=int, device=device)
+            self._launch(contact.copy_contacts, worlds, [every, old, self.lists])
+        self._gap = wp.zeros((worlds, capacity), dtype=wp.float64, device=device)
+        self._force = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
+        self._motion = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
+        self._rho = wp.zeros(worlds, dtype=wp.float64, device=device)
+        square = (worlds, 3 * capacity, 3 * capacity)
+        self._compliance = wp.zeros(square, dtype=wp.float64, device=device)
+        self._inverse = wp.zeros(square, dtype=wp.float64, device=device)
+        self._solver = CoulombSolver(worlds, capacity, device, self._algebra)
+        self.stale.fill_(1)
+
+    def _contact_list(self, capacity: int) -> contact.ContactList:
+        shape, result = (self._world_count, capacity), contact.ContactList()
+        result.count = wp.zeros(self._world_count, dtype=int, device=self._device)
+        result.key = wp.zeros(shape, dtype=int, device=self._device)
+        result.body = wp.zeros(shape, dtype=int, device=self._device)
+        result.nodes = wp.zeros(shape, dtype=wp.vec3i, device=self._device)
+        result.weights = wp.zeros(shape, dtype=vec3d, device=self._device)
+        result.force = wp.zeros(shape, dtype=vec3d, device=self._device)
+        return result
+
+    # --- finding points -----------------------------------------------------------------------------------------
+
+    def find(self, rows: wp.array) -> None:
+        """List the candidates at the present displacement; a point found again keeps its force."""
+        self._search(rows, self._margin)
+        inputs = [rows, self.lists, self._gap, self._penetration]
+        self._launch(contact.carry_forces, rows.shape[0], inputs, [self._found, self.stale, self._missing])
+        self._launch(contact.copy_contacts, rows.shape[0], [rows, self._found, self.lists])
+
+    def is_incomplete(self, rows: wp.array) -> np.ndarray:
+        """Return which rows have a point deep inside a body that is not listed; the lists stay as they are."""
+        self._search(rows, -self._penetration)
+        ignored = wp.zeros_like(self.stale)
+        inputs = [rows, self.lists, self._gap, self._penetration]
+        self._launch(contact.carry_forces, rows.shape[0], inputs, [self._found, ignored, self._missing])
+        return self._missing.numpy()[: rows.shape[0]] > 0
+
+    def _search(self, rows: wp.array, margin: float) -> None:
+        """Fill the list of found points, which grows as needed."""
+        displacement = self._state.displacement
+        self._surface_normals(rows, displacement)
+        while True:
+            self._find(rows, displacement, margin, self._found, self._gap)
+            largest = int(self._found.count.numpy()[rows.numpy()].max(initial=0))
+            if largest <= self.capacity:
+                return
+            self._allocate(INITIAL_CAPACITY * -(-largest // INITIAL_CAPACITY))
+
+    def pad_gaps(self, rows: wp.array, reach: float) -> np.ndarray:
+        """Return the distance of each pad face from the surface in front of it [m], shape ``(row, 2)``.
+
+        It is inf where there is none within ``reach`` [m].
+        """
+        worlds, displacement = rows.numpy(), self._state.start_displacement
+        every = self._contact_list(self._model.surface.body_key)
+        gap = wp.zeros(every.key.shape, dtype=wp.float64, device=self._device)
+        self._surface_normals(rows, displacement)
+        self._find(rows, displacement, reach, every, gap)
+        count, body, gaps = every.count.numpy()[worlds], every.body.numpy()[worlds], gap.numpy()[worlds]
+        listed = np.arange(body.shape[1]) < count[:, None]
+        pads = (contact.LEFT_PAD, contact.RIGHT_PAD)
+        return np.stack([np.where(listed & (body == pad), gaps, np.inf).min(axis=1) for pad in pads], axis=1)
+
+    def _surface_normals(self, rows: wp.array, displacement: wp.array) -> None:
+        model = self._model
+        dim = (rows.shape[0], model.surface.nodes.shape[0])
+        self._launch(contact.surface_normals, dim, [model.surface, model.vertices, rows, displacement], [self._normal])
+
+    def _find(
+        self, rows: wp.array, displacement: wp.array, margin: float, found: contact.ContactList, gap: wp.array
+    ) -> None:
+        model = self._model
+        inputs = [
+            model.surface,
+            model.outline,
+            model.vertices,
+            margin,
+            self._state.bodies,
+            rows,
+            displacement,
+            self._normal,
+        ]
+        self._launch(contact.find_contacts, rows.shape[0], inputs, [found, gap])
+
+    # --- compliance ---------------------------------------------------------------------------------------------
+
+    def expect_step(self, worlds: np.ndarray, step_length: float) -> None:
+        """The next compliance is for steps of this length [s]."""
+        set_entries(self.stale, worlds[self._assembled_step[worlds] != step_length], 1)
+
+    def refresh_compliance(self, rows: wp.array, shared: SharedCompliance) -> None:
+        """Assemble and invert W anew where the points, the rotations or the step length changed."""
+        worlds, state = rows.numpy(), self._state
+        stale = worlds[self.stale.numpy()[worlds] != 0]
+        if not len(stale):
+            return
+        some, lists = wp.array(stale, dtype=int, device=self._device), self.lists
+        inputs = [lists.count, lists.nodes, lists.weights, shared.elastic, some]
+        self._launch(coulomb.estimate_rho, len(stale), inputs, [self._rho])
+        self._launch(
+            contact.assemble_contact_compliance,
+            (len(stale), self.capacity, self.capacity),
+            [shared.matrix, shared.step_length, state.bodies, lists, some, state.rotation, state.finger_damping],
+            [self._compliance],
+        )
+        sizes = 3 * lists.count.numpy()
+        self._algebra.invert(self._compliance, stale, sizes, self._rho.numpy(), self._inverse)
+        set_entries(self.stale, stale, 0)
+        self._assembled_step[stale] = shared.step_length
+
+    # --- forces -------------------------------------------------------------------------------------------------
+
+    def add_forces(self, rows: wp.array, nodal_force: wp.array) -> None:
+        """Add the contact forces to nodal forces (row, node) [N]."""
+        self._launch(contact.gather_forces, (rows.shape[0], self.capacity), [rows, self.lists], [self._force])
+        self._scatter(rows, nodal_force)
+
+    def residual(self, rows: wp.array) -> np.ndarray:
+        """Return how far each row's worst contact is from its law [N], shape ``(row,)``; after ``add_forces``."""
+        self._relative_motion(rows, self._no_correction)
+        inputs = [self.lists.count, rows, self._model.friction, self._rho, self._force, self._motion]
+        self._launch(coulomb.contact_residual, rows.shape[0], inputs, [self._residual])
+        return self._residual.numpy()[: rows.shape[0]]
+
+    def solve(self, rows: wp.array, correction: wp.array, tolerance: np.ndarray) -> np.ndarray:
+        """Find the forces that obey the contact laws at displacement + correction; return which rows were hard.
+
+        Args:
+            rows: Worlds.
+            correction: Nodal correction that would follow without a change of forces (row, node) [m].
+            tolerance: Largest residual [N], shape ``(row,)``.
+        """
+        count = rows.shape[0]
+        self._relative_motion(rows, correction)
+        problem = ContactProblem(
+            worlds=rows,
+            count=self.lists.count,
+            friction=self._model.friction,
+            rho=self._rho,
+            matrix=self._compliance,
+            inverse=self._inverse,
+            force=self._force[:count],
+            motion=self._motion[:count],
+            tolerance=wp.array(tolerance, dtype=wp.float64, device=self._device),
+        )
+        force, hard = self._solver.solve(problem)
+        self._launch(contact.store_forces, (count, self.capacity), [rows, force, self.lists])
+        self._launch(_change, (count, self.capacity), [force, self._force])
+        return hard
+
+    def add_force_change(self, rows: wp.array, nodal_force: wp.array) -> None:
+        """Add what the last ``solve`` changed in the contact forces to nodal forces (row, node) [N]."""
+        self._scatter(rows, nodal_force)
+
+    def copy_world(self, source: int, worlds: np.ndarray) -> None:
+        """Give some worlds the points and forces of another."""
+        for name in ("count", "key", "body", "nodes", "weights", "force"):
+            array = getattr(self.lists, name)
+            set_entries(array, worlds, array.numpy()[source])
+        set_entries(self.stale, worlds, 1)
+
+    def normal_forces(self, worlds: np.ndarray) -> np.ndarray:
+        """Sum of the normal forces of left pad, right pad and platform [N], shape ``(n, 3)``."""
+        count, body = self.lists.count.numpy()[worlds], self.lists.body.numpy()[worlds]
+        force = self.lists.force.numpy()[worlds, :, 0]
+        listed = np.arange(self.capacity) < count[:, None]
+        return np.stack(
+            [np.where(listed & (body == b), force, 0.0).sum(axis=1) for b in range(contact.BODY_COUNT)], axis=1
+        )
+
+    def _scatter(self, rows: wp.array, nodal_force: wp.array) -> None:
+        inputs = [self._state.bodies, self.lists, rows, self._force, nodal_force]
+        self._launch(contact.scatter_contact_forces, rows.shape[0], inputs)
+
+    def _relative_motion(self, rows: wp.array, correction: wp.array) -> None:
+        state = self._state
+        inputs = [
+            self._model.vertices,
+            state.bodies,
+            self.lists,
+            rows,
+            state.start_displacement,
+            state.displacement,
+            correction,
+        ]
+        self._launch(contact.relative_motion, (rows.shape[0], self.capacity), inputs, [self._motion])
+
+    def _launch(self, kernel, dim, inputs: list, outputs: list | None = None) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self._device)
+
+
+@wp.kernel
+def _change(force: wp.array2d[vec3d], change: wp.array2d[vec3d]):
+    """change = force - change."""
+    i, c = wp.tid()
+    change[i, c] = force[i, c] - change[i, c]

@@ -1,0 +1,51 @@
+"""The shared inverse on the device, one per step length."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from defgrasp_ros.simulation.rest_system import RestSystem
+
+ROTATION_TOLERANCE = 0.03
+"""Nodal turn [rad] since the last refresh that a soft body's iteration bears well.
+
+A stiff body bears less: a turn that the inverse does not know looks like a strain to it. The tolerance falls with
+the ratio of the body's rigid to its elastic compliance.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class SharedCompliance:
+    """P(h) of :mod:`rest_system` as device arrays."""
+
+    step_length: float
+    """h [s]."""
+    matrix: wp.array
+    """P [m/N], shape ``(3 node, 3 node)``."""
+    elastic: wp.array
+    """Local flexibility per node [m/N], shape ``(node,)``."""
+    rotation_tolerance: float
+    """Nodal turn after which the rotations are taken over anew [rad]."""
+
+
+class ComplianceCache:
+    """Makes the inverse of a step length when it is first needed, and keeps it."""
+
+    def __init__(self, rest: RestSystem, device: wp.Device):
+        self._rest = rest
+        self._device = device
+        self._known: dict[float, SharedCompliance] = {}
+
+    def __getitem__(self, step_length: float) -> SharedCompliance:
+        if step_length not in self._known:
+            host = self._rest.compliance(step_length)
+            self._known[step_length] = SharedCompliance(
+                step_length=step_length,
+                matrix=wp.array(host.matrix, dtype=wp.float64, device=self._device, copy=False),
+                elastic=wp.array(host.elastic, dtype=wp.float64, device=self._device),
+                rotation_tolerance=ROTATION_TOLERANCE / (1.0 + host.rigid / float(np.median(host.elastic))),
+            )
+        return self._known[step_length]

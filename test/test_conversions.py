@@ -1,0 +1,304 @@
+"""Messages and domain objects say the same thing, and what a message may not say is refused with its reason."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from defgrasp_ros.configuration import config_file
+from defgrasp_ros.errors import (
+    InvalidGraspError,
+    InvalidMaterialError,
+    InvalidMeshError,
+    InvalidOptionsError,
+    MeshNotWatertightError,
+    MeshTooLargeError,
+    NotFoundError,
+    ResultCode,
+    UnknownFrameError,
+)
+from defgrasp_ros.evaluation import (
+    DeformedState,
+    EvaluationOptions,
+    FingerContact,
+    GraspEvaluation,
+    GraspFeatures,
+    GraspMetrics,
+    GraspSample,
+    Phase,
+    SolverReport,
+)
+from defgrasp_ros.grasp import Grasp
+from defgrasp_ros.material import Material
+from defgrasp_ros.mesh.shapes import box
+
+msg = pytest.importorskip("defgrasp_interfaces.msg", reason="the message definitions are not built")
+pytest.importorskip("rclpy")
+
+from defgrasp_ros.ros.fields import time_message  # noqa: E402
+from defgrasp_ros.ros.object_source import MeshData, MeshFile, Surface  # noqa: E402
+from defgrasp_ros.ros.parameters import EXPERIMENT, PARAMETERS, parameters_yaml  # noqa: E402
+from defgrasp_ros.ros.request_conversion import (  # noqa: E402
+    grasp_from_message,
+    grasp_to_message,
+    material_from_message,
+    material_to_message,
+    object_from_message,
+    object_to_message,
+    options_from_message,
+    options_to_message,
+    path_of_uri,
+)
+from defgrasp_ros.ros.result_conversion import evaluation_from_message, evaluation_to_message  # noqa: E402
+from defgrasp_ros.ros.state_conversion import sample_to_contact_state, sample_to_joint_state  # noqa: E402
+
+BLOCK = box((0.04, 0.03, 0.02), (2, 2, 1))
+LIMIT = 10_000
+STAMP = time_message(12_000_000_034)
+
+
+def contact(name: str, count: int) -> FingerContact:
+    """Contacts with numbers of their own."""
+    values = np.arange(3.0 * count).reshape(count, 3)
+    normals = np.tile([0.0, 1.0, 0.0], (count, 1))
+    return FingerContact(name, positions=values, normals=normals, forces=values + 0.5, slipping=count == 2)
+
+
+def tetrahedra_text() -> str:
+    """The block as a .tet file."""
+    vertices = [f"v {x!r} {y!r} {z!r}" for x, y, z in BLOCK.vertices.tolist()]
+    return "\n".join(vertices + [f"t {a} {b} {c} {d}" for a, b, c, d in BLOCK.tetrahedra.tolist()])
+
+
+def test_material_survives_the_message() -> None:
+    """A material comes back as it went, and an untouched message is the default material."""
+    material = Material(youngs_modulus=1.5e4, poissons_ratio=0.45, density=987.0, friction_coefficient=0.3)
+    assert material_from_message(material_to_message(material)) == material
+    assert material_from_message(msg.Material()) == Material()
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
+@pytest.mark.parametrize("name", ["youngs_modulus", "density", "friction_coefficient"])
+def test_impossible_material_is_refused(name: str, value: float) -> None:
+    """The text names the field and the value."""
+    with pytest.raises(InvalidMaterialError, match=f"{name} = {value:g}"):
+        material_from_message(msg.Material(**{name: value}))
+
+
+def test_grasp_survives_the_message() -> None:
+    """A grasp comes back as it went, with its quaternion in the same order."""
+    orientation = np.array([0.1, -0.2, 0.3, 0.9]) / np.linalg.norm([0.1, -0.2, 0.3, 0.9])
+    grasp = Grasp(np.array([0.01, -0.02, 0.03]), orientation, id="tilted", target_force=2.5)
+    back = grasp_from_message(grasp_to_message(grasp))
+    assert (back.id, back.target_force) == ("tilted", 2.5)
+    np.testing.assert_array_equal(back.position, grasp.position)
+    np.testing.assert_allclose(back.orientation, grasp.orientation, rtol=1e-15)
+
+
+def test_target_force_zero_is_the_default_force() -> None:
+    """A message whose target force is 0 leaves the force to the evaluator."""
+    assert grasp_from_message(msg.Grasp()).target_force is None
+    assert grasp_to_message(Grasp(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))).target_force == 0.0
+
+
+def test_grasp_in_an_unknown_frame_is_refused() -> None:
+    """Only the object frame is known; the text names the frame and the one to use."""
+    message = msg.Grasp(id="top")
+    message.pose.header.frame_id = "object"
+    grasp_from_message(message)
+    message.pose.header.frame_id = "camera"
+    with pytest.raises(UnknownFrameError, match="'top'.*'camera'.*'object'"):
+        grasp_from_message(message)
+
+
+@pytest.mark.parametrize("x, w", [(0.0, 0.0), (0.0, 2.0), (math.nan, 1.0)])
+def test_grasp_without_a_unit_quaternion_is_refused(x: float, w: float) -> None:
+    """Zero, unnormalised and not finite quaternions name the grasp."""
+    message = msg.Grasp(id="top")
+    message.pose.pose.orientation.x = x
+    message.pose.pose.orientation.w = w
+    with pytest.raises(InvalidGraspError, match="'top'"):
+        grasp_from_message(message)
+
+
+def test_options_survive_the_message_and_zero_takes_the_default() -> None:
+    """Numbers given are kept, numbers left 0 are the evaluator's."""
+    options = EvaluationOptions(1.5, 2.0, 0.1, 0.3, 0.004, return_fields=True)
+    assert options_from_message(options_to_message(options), EvaluationOptions()) == options
+    only_hold = msg.ExperimentOptions(pickup_hold_time=1.0)
+    expected = dataclasses.replace(options, pickup_hold_time=1.0, return_fields=False)
+    assert options_from_message(only_hold, options) == expected
+
+
+@pytest.mark.parametrize("value", [-1.0, math.nan])
+def test_impossible_option_is_refused(value: float) -> None:
+    """Negative and not finite numbers are no way to say "default"."""
+    with pytest.raises(InvalidOptionsError, match=f"pickup_hold_time = {value:g}"):
+        options_from_message(msg.ExperimentOptions(pickup_hold_time=value), EvaluationOptions())
+
+
+def test_tetrahedra_survive_the_message() -> None:
+    """Ready tetrahedra are used as they are."""
+    model = object_from_message(object_to_message(BLOCK, Material(), "block"), LIMIT)
+    assert model.name == "block"
+    np.testing.assert_array_equal(model.mesh.vertices, BLOCK.vertices)
+    np.testing.assert_array_equal(model.mesh.tetrahedra, BLOCK.tetrahedra)
+
+
+def test_file_and_data_give_the_same_mesh(tmp_path: Path) -> None:
+    """A file is found under a name that needs escaping, and its content sent as bytes is the same object."""
+    path = tmp_path / "block 100%#1.tet"
+    path.write_text(tetrahedra_text())
+    by_file = object_from_message(object_to_message(MeshFile(path, scale=0.5), Material()), LIMIT)
+    data = MeshData(path.read_bytes(), "tet", scale=0.5)
+    by_data = object_from_message(object_to_message(data, Material()), LIMIT)
+    np.testing.assert_allclose(by_file.mesh.vertices, 0.5 * BLOCK.vertices)
+    np.testing.assert_array_equal(by_file.mesh.vertices, by_data.mesh.vertices)
+
+
+def test_surface_encloses_the_same_volume() -> None:
+    """A closed surface is filled with tetrahedra."""
+    source = Surface(BLOCK.vertices, BLOCK.surface_triangles, target_edge_length=0.01)
+    model = object_from_message(object_to_message(source, Material()), LIMIT)
+    assert model.mesh.volume == pytest.approx(BLOCK.volume, rel=1e-3)
+
+
+def test_open_surface_is_refused() -> None:
+    """A surface without one of its triangles is not watertight."""
+    source = Surface(BLOCK.vertices, BLOCK.surface_triangles[1:])
+    with pytest.raises(MeshNotWatertightError):
+        object_from_message(object_to_message(source, Material()), LIMIT)
+
+
+def test_shape_must_be_given_exactly_once() -> None:
+    """No shape, and two shapes, are refused by name."""
+    with pytest.raises(InvalidMeshError, match="given by nothing"):
+        object_from_message(msg.ObjectModel(), LIMIT)
+    both = object_to_message(BLOCK, Material())
+    both.uri = "file:///block.tet"
+    with pytest.raises(InvalidMeshError, match="uri and tetrahedra"):
+        object_from_message(both, LIMIT)
+
+
+def test_too_many_tetrahedra_are_refused() -> None:
+    """The text names the number and the limit."""
+    with pytest.raises(MeshTooLargeError, match=f"{len(BLOCK.tetrahedra)}.*= 5"):
+        object_from_message(object_to_message(BLOCK, Material()), 5)
+
+
+def test_incomplete_vertex_is_refused() -> None:
+    """A flat array that is no multiple of three is named with its length."""
+    message = object_to_message(BLOCK, Material())
+    message.tetrahedra.vertices.pop()
+    with pytest.raises(InvalidMeshError, match=r"object\.tetrahedra: vertices has 53 numbers"):
+        object_from_message(message, LIMIT)
+
+
+@pytest.mark.parametrize("scale", [-1.0, math.nan])
+def test_impossible_scale_is_refused(scale: float) -> None:
+    """A scale is positive, or 0 for none."""
+    message = object_to_message(BLOCK, Material())
+    message.scale = scale
+    with pytest.raises(InvalidMeshError, match=r"object\.scale"):
+        object_from_message(message, LIMIT)
+
+
+@pytest.mark.parametrize("uri", ["file:///a%20b.stl", "file://localhost/a b.stl"])
+def test_file_uri_is_decoded(uri: str) -> None:
+    """Percent signs are decoded, and the own machine may be named."""
+    assert path_of_uri(uri) == Path("/a b.stl")
+
+
+@pytest.mark.parametrize("uri", ["a.stl", "/a.stl", "file://a.stl", "package://robot/a.stl", "http://host/a.stl"])
+def test_other_uri_is_refused(uri: str) -> None:
+    """Relative paths and other schemes are refused; the text says what to write."""
+    with pytest.raises(InvalidMeshError, match="file://"):
+        path_of_uri(uri)
+
+
+def test_missing_file_is_not_found(tmp_path: Path) -> None:
+    """The text names the path."""
+    with pytest.raises(NotFoundError, match="missing.stl"):
+        object_from_message(object_to_message(MeshFile(tmp_path / "missing.stl"), Material()), LIMIT)
+
+
+def test_evaluation_survives_the_message() -> None:
+    """All of a result comes back; fields over the mesh in single precision."""
+    evaluation = GraspEvaluation(
+        grasp_index=3,
+        grasp_id="top",
+        code=ResultCode.DROPPED,
+        message="slipped",
+        features=GraspFeatures(0.1, 0.2, 7.5, 0.3, 0.4, 0.5, 0.6),
+        metrics=GraspMetrics(True, 1e4, 0.002, 0.03),
+        target_force=2.0,
+        applied_force=1.99,
+        contacts=(contact("left_finger", 2), contact("right_finger", 0)),
+        slip_distance=0.001,
+        holding_time=1.25,
+        simulated_time=3.5,
+        wall_time=0.75,
+        solver=SolverReport(False, 10, 20, 1e-9, 1, 2),
+        fields={"post_pickup": DeformedState(BLOCK.vertices, np.arange(len(BLOCK.tetrahedra)), 0.015)},
+    )
+    message = evaluation_to_message(evaluation, STAMP)
+    back = evaluation_from_message(message)
+    assert (message.header.stamp, message.header.frame_id) == (STAMP, "object")
+    for name in ("grasp_index", "grasp_id", "code", "message", "features", "metrics", "solver"):
+        assert getattr(back, name) == getattr(evaluation, name)
+    for name in ("target_force", "applied_force", "slip_distance", "holding_time", "simulated_time", "wall_time"):
+        assert getattr(back, name) == getattr(evaluation, name)
+    assert back.contacts is not None
+    for contact_back, contact_there in zip(back.contacts, evaluation.contacts, strict=True):
+        assert (contact_back.name, contact_back.slipping) == (contact_there.name, contact_there.slipping)
+        np.testing.assert_array_equal(contact_back.positions, contact_there.positions)
+        np.testing.assert_array_equal(contact_back.normals, contact_there.normals)
+        np.testing.assert_array_equal(contact_back.forces, contact_there.forces)
+    state = back.fields["post_pickup"]
+    np.testing.assert_array_equal(state.positions, BLOCK.vertices.astype(np.float32))
+    np.testing.assert_array_equal(state.von_mises_stress, np.arange(len(BLOCK.tetrahedra)))
+    assert state.opening == 0.015
+    assert not evaluation_to_message(evaluation, STAMP, with_fields=False).fields
+
+
+def test_evaluation_that_measured_nothing_survives_the_message() -> None:
+    """Not measured stays nan, and no contact stays none."""
+    back = evaluation_from_message(evaluation_to_message(GraspEvaluation(0, ""), STAMP))
+    assert back.contacts is None
+    assert math.isnan(back.metrics.strain_energy)
+    assert math.isnan(back.target_force)
+
+
+def test_sample_becomes_joints_and_contacts() -> None:
+    """Both fingers share opening and force; sums over contacts are those of the sample."""
+    fingers = (contact("left_finger", 2), contact("right_finger", 1))
+    sample = GraspSample(4, "top", Phase.SQUEEZE, 0.5, 0.02, -0.01, 3.0, fingers, platform_force=0.7)
+    joints = sample_to_joint_state(sample, STAMP)
+    assert list(joints.name) == ["left_finger_joint", "right_finger_joint"]
+    assert list(joints.position) == [0.02, 0.02]
+    assert list(joints.velocity) == [-0.01, -0.01]
+    assert list(joints.effort) == [1.5, 1.5]
+    assert joints.header.frame_id == "top"
+    contacts = sample_to_contact_state(sample, STAMP)
+    assert (contacts.grasp_id, contacts.grasp_index, contacts.platform_force) == ("top", 4, 0.7)
+    assert [finger.count for finger in contacts.fingers] == [2, 1]
+    left = contacts.fingers[0]
+    assert left.normal_force == pytest.approx(1.5 + 4.5)
+    assert (left.tangential_force.x, left.tangential_force.y) == pytest.approx((0.5 + 3.5, 0.0))
+    assert contacts.normal_force == pytest.approx(sum(finger.normal_force for finger in fingers))
+
+
+def test_parameter_file_is_that_of_the_table() -> None:
+    """config/evaluator.yaml is what the table of parameters prints."""
+    assert config_file("evaluator.yaml").read_text() == parameters_yaml()
+
+
+def test_every_option_has_its_parameter() -> None:
+    """Every number of the options can be left 0 in a request, so each has a parameter."""
+    numbers = [field.name for field in dataclasses.fields(EvaluationOptions) if not isinstance(field.default, bool)]
+    parameters = [row.name.removeprefix(EXPERIMENT) for row in PARAMETERS if row.name.startswith(EXPERIMENT)]
+    assert parameters == numbers

@@ -1,0 +1,102 @@
+"""Tetrahedra from surfaces."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from defgrasp_ros.errors import MeshTooLargeError, TetrahedralizationError
+from defgrasp_ros.mesh import tetrahedralize as module
+from defgrasp_ros.mesh.quality import dihedral_angles
+from defgrasp_ros.mesh.tetrahedralize import tetrahedralize
+
+
+@pytest.fixture(scope="module")
+def block():
+    return trimesh.creation.box([0.06, 0.04, 0.03])
+
+
+def test_block_keeps_its_shape(block):
+    """Volume is exact, faces stay flat and corners stay corners, with well-shaped elements."""
+    mesh = tetrahedralize(block.vertices, block.faces, target_edge_length=0.01)
+    assert mesh.volume == pytest.approx(block.volume, rel=1e-9)
+    distance = np.abs(np.abs(mesh.vertices[mesh.surface_nodes]) - block.extents / 2.0).min(axis=1)
+    assert distance.max() < 1e-4
+    np.testing.assert_allclose(mesh.extents, block.extents, atol=1e-4)
+    assert np.degrees(dihedral_angles(mesh).min()) > 10.0
+
+
+def test_equal_input_gives_equal_tetrahedra(block):
+    """Two runs agree to the bit."""
+    first, second = (tetrahedralize(block.vertices, block.faces, target_edge_length=0.012) for _ in range(2))
+    assert np.array_equal(first.vertices, second.vertices)
+    assert np.array_equal(first.tetrahedra, second.tetrahedra)
+
+
+def test_smaller_edge_length_gives_more_elements(block):
+    """Half the edge length gives about eight times the elements."""
+    coarse, fine = (len(tetrahedralize(block.vertices, block.faces, h).tetrahedra) for h in (0.012, 0.006))
+    assert 5.0 < fine / coarse < 12.0
+
+
+def test_scan_becomes_a_mesh_that_can_be_simulated(shared_directory):
+    """A raw scan of 15 728 triangles gives about 1 000 nodes, with its volume and no nearly flat element."""
+    scan = trimesh.load_mesh(shared_directory / "meshes" / "ycb_011_banana.stl")
+    mesh = tetrahedralize(scan.vertices, scan.faces)
+    assert 800 < len(mesh.vertices) < 1200
+    assert mesh.volume == pytest.approx(scan.volume, rel=1e-6)
+    assert np.degrees(dihedral_angles(mesh).min()) > 8.0
+    # The decimated surface lies within the envelope around the scan, and so does the mesh.
+    _, distance, _ = trimesh.proximity.closest_point(scan, mesh.vertices[mesh.surface_nodes][::10])
+    assert distance.max() < 1.5e-3
+
+
+def test_edge_length_larger_than_the_object_gives_few_elements(block):
+    """There is no need to know a sensible edge length: a huge one gives a coarse mesh."""
+    rod = trimesh.creation.cylinder(0.002, 0.1)
+    assert len(tetrahedralize(rod.vertices, rod.faces, target_edge_length=0.5).tetrahedra) < 500
+    assert len(tetrahedralize(block.vertices, block.faces, target_edge_length=0.5).tetrahedra) < 50
+
+
+def test_too_fine_an_edge_length_is_refused(block):
+    """The limit is checked before any work is done, and the text gives what is possible."""
+    with pytest.raises(MeshTooLargeError, match=r"target_edge_length = 0\.0001 m.*at least 0\.002"):
+        tetrahedralize(block.vertices, block.faces, target_edge_length=1e-4)
+
+
+def test_missing_volume_is_an_error():
+    """Two bodies that overlap count twice in the surface's volume; that is not passed over in silence."""
+    one, other = trimesh.creation.box([0.04] * 3), trimesh.creation.box([0.04] * 3)
+    other.apply_translation([0.02, 0.01, 0.0])
+    both = trimesh.util.concatenate([one, other])
+    with pytest.raises(TetrahedralizationError, match="overlaps itself"):
+        tetrahedralize(both.vertices, both.faces, target_edge_length=0.01)
+
+
+def test_mesher_that_takes_too_long_is_stopped(block, monkeypatch):
+    """The time limit ends the mesher's process with a reason."""
+    monkeypatch.setattr(module, "TIME_LIMIT", 0.01)
+    with pytest.raises(TetrahedralizationError, match=r"did not finish in 0\.01 s"):
+        tetrahedralize(block.vertices, block.faces)
+
+
+def test_mesher_that_crashes_is_reported(block, monkeypatch, tmp_path):
+    """A crash of the native mesher ends its own process only; the text names the signal."""
+    worker = tmp_path / "worker.py"
+    worker.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
+    monkeypatch.setattr(module, "WORKER", worker)
+    with pytest.raises(TetrahedralizationError, match="SIGSEGV"):
+        tetrahedralize(block.vertices, block.faces)
+
+
+def test_mesher_without_memory_is_reported(block, monkeypatch):
+    """Running into the memory limit is an error with a reason, not a dead caller."""
+    monkeypatch.setattr(module, "MEMORY_LIMIT", 2**20)
+    with pytest.raises(TetrahedralizationError, match="the mesher failed"):
+        tetrahedralize(block.vertices, block.faces)
+
+
+def test_mesher_prints_nothing(block, capfd):
+    """Standard output belongs to the caller."""
+    tetrahedralize(block.vertices, block.faces, target_edge_length=0.015)
+    captured = capfd.readouterr()
+    assert captured.out == "" and captured.err == ""

@@ -1,0 +1,185 @@
+"""The pickup experiment on a soft block: what is held, what is not, and why."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from defgrasp_ros.errors import EmptyGraspListError, ResultCode
+from defgrasp_ros.evaluation import EvaluationObserver, EvaluationOptions, GraspEvaluation, Phase
+from defgrasp_ros.experiments import evaluate_grasps, pickup
+from defgrasp_ros.grasp import Grasp
+from defgrasp_ros.gripper import load_gripper
+from defgrasp_ros.material import Material
+from defgrasp_ros.mesh.shapes import box
+from defgrasp_ros.object_model import ObjectModel
+
+FROM_ABOVE = Rotation.from_euler("x", np.pi).as_quat()
+OPTIONS = EvaluationOptions(pickup_hold_time=0.5, return_fields=True)
+
+
+def block(youngs_modulus: float = 1e5, extents=(0.03, 0.03, 0.03)) -> ObjectModel:
+    return ObjectModel("block", box(extents, (3, 3, 3)), Material(youngs_modulus=youngs_modulus))
+
+
+def grasp(id: str, position=(0.0, 0.0, 0.0), orientation=FROM_ABOVE, target_force: float | None = None) -> Grasp:
+    return Grasp(np.array(position), np.array(orientation), id, target_force)
+
+
+class Witness(EvaluationObserver):
+    """Keeps everything it is shown."""
+
+    sample_interval = 0.05
+
+    def __init__(self):
+        self.progress, self.samples, self.evaluations = [], [], []
+
+    def on_progress(self, progress):
+        self.progress.append(progress)
+
+    def on_sample(self, sample):
+        self.samples.append(sample)
+
+    def on_evaluation(self, evaluation):
+        self.evaluations.append(evaluation)
+
+
+@pytest.fixture(scope="module")
+def run() -> tuple[ObjectModel, list[GraspEvaluation], Witness]:
+    model, witness = block(), Witness()
+    weak = 0.8 * model.weight / model.material.friction_coefficient
+    grasps = [
+        grasp("held"),
+        grasp("too weak", target_force=weak),
+        grasp("beside", position=(0.06, 0.0, 0.0)),
+        grasp("inside", position=(0.0, 0.05, 0.0)),
+        grasp("too strong", target_force=1e3),
+        grasp("off centre", position=(0.0, 0.002, 0.0)),
+    ]
+    return model, evaluate_grasps(model, grasps, load_gripper(), OPTIONS, observer=witness), witness
+
+
+def test_each_grasp_ends_with_its_own_code(run):
+    """Success, slipping out, closing on nothing, collision and a force beyond the gripper are told apart."""
+    _, evaluations, _ = run
+    assert {e.grasp_id: e.code for e in evaluations} == {
+        "held": ResultCode.OK,
+        "too weak": ResultCode.DROPPED,
+        "beside": ResultCode.NO_CONTACT,
+        "inside": ResultCode.GRIPPER_COLLISION,
+        "too strong": ResultCode.FORCE_NOT_REACHED,
+        "off centre": ResultCode.OK,
+    }
+    assert [e.grasp_index for e in evaluations] == list(range(6))
+    assert all(e.message for e in evaluations)
+    assert all(e.solver.converged for e in evaluations)
+
+
+def test_pads_carry_the_weight(run):
+    """At the end of the hold, normal and friction forces of the pads sum to the weight, and nothing else."""
+    model, evaluations, _ = run
+    for evaluation in evaluations:
+        if evaluation.code is ResultCode.OK:
+            total = sum(finger.forces.sum(axis=0) for finger in evaluation.contacts)
+            np.testing.assert_allclose(total, [0.0, 0.0, model.weight], atol=1e-3 * model.weight)
+
+
+def test_target_force_is_the_sum_of_both_pads(run):
+    """F_p = 1.3 m g / mu by default, and the measured force meets it to 0.1 %."""
+    model, evaluations, _ = run
+    held = evaluations[0]
+    assert held.target_force == pytest.approx(1.3 * model.weight / 0.7)
+    for evaluation in evaluations:
+        if not math.isnan(evaluation.applied_force):
+            assert evaluation.applied_force == pytest.approx(evaluation.target_force, rel=1e-3)
+
+
+def test_what_was_not_measured_is_nan(run):
+    """A dropped object keeps its features and has no metrics; a missed one has neither."""
+    _, evaluations, _ = run
+    dropped, missed = evaluations[1], evaluations[2]
+    assert not dropped.metrics.pickup_success and math.isnan(dropped.metrics.max_von_mises_stress)
+    assert dropped.features.contact_count > 0
+    assert math.isnan(missed.features.contact_count) and missed.contacts is None
+    assert math.isnan(missed.metrics.strain_energy) and math.isnan(missed.applied_force)
+
+
+def test_metrics_agree_with_the_fields(run):
+    """The largest stress is that of the stage post_pickup; the stages come in order with the pads closing."""
+    _, evaluations, _ = run
+    held = evaluations[0]
+    fields = held.fields
+    assert list(fields) == ["pre_contact", "at_target_force", "post_pickup"]
+    assert held.metrics.max_von_mises_stress == fields["post_pickup"].von_mises_stress.max()
+    assert held.features.gripper_separation == pytest.approx(2 * fields["at_target_force"].opening)
+    assert 0.0 < held.features.squeeze_distance < 0.005
+    assert held.metrics.max_deformation < 0.005
+
+
+def test_an_offset_grasp_centres_the_object(run):
+    """One finger pushes the block until the other touches: separation is that of the centred grasp."""
+    _, evaluations, _ = run
+    centred, offset = evaluations[0], evaluations[5]
+    assert offset.features.gripper_separation == pytest.approx(centred.features.gripper_separation, rel=1e-2)
+    shift = offset.fields["at_target_force"].positions - centred.fields["at_target_force"].positions
+    assert shift[:, 1].mean() == pytest.approx(0.002, rel=0.02)
+
+
+def test_the_observer_sees_the_run(run):
+    """Progress rises to 1, samples show both fingers, every evaluation is announced once."""
+    model, evaluations, witness = run
+    fractions = [progress.fraction for progress in witness.progress]
+    assert fractions[-1] == 1.0
+    assert sorted(e.grasp_index for e in witness.evaluations) == list(range(len(evaluations)))
+    last = [sample for sample in witness.samples if sample.grasp_id == "held"][-1]
+    assert last.phase is Phase.HOLD and last.platform_force == 0.0
+    assert sum(finger.normal_force for finger in last.contacts) == pytest.approx(evaluations[0].target_force, rel=1e-2)
+    settled = [s for s in witness.samples if s.grasp_id == "held" and s.phase is Phase.SQUEEZE][-1]
+    pads = sum(finger.forces.sum(axis=0)[2] for finger in settled.contacts)
+    assert settled.platform_force + pads == pytest.approx(model.weight, rel=1e-4)
+
+
+def test_closing_along_gravity():
+    """A grasp with vertical closing axis: the lower pad carries the weight on top of the squeeze."""
+    model = block(extents=(0.03, 0.03, 0.02))
+    sideways = Rotation.from_matrix(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])).as_quat()
+    (evaluation,) = evaluate_grasps(model, [grasp("vertical", orientation=sideways)], load_gripper(), OPTIONS)
+    assert evaluation.code is ResultCode.OK
+    assert evaluation.features.gravity_alignment == pytest.approx(0.0, abs=1e-3)
+    upper, lower = sorted(evaluation.contacts, key=lambda finger: finger.centroid[2], reverse=True)
+    assert lower.normal_force - upper.normal_force == pytest.approx(model.weight, rel=2e-3)
+
+
+def test_batches_give_what_one_batch_gives(monkeypatch):
+    """More grasps than fit into a batch come out as they do together."""
+    model, grasps = block(2e5), [grasp(str(i), position=(0.0, 0.0, 0.002 * i)) for i in range(3)]
+    together = evaluate_grasps(model, grasps, load_gripper(), OPTIONS)
+    monkeypatch.setattr(pickup, "MAX_BATCH", 2)
+    apart = evaluate_grasps(model, grasps, load_gripper(), OPTIONS)
+    for one, other in zip(together, apart, strict=True):
+        assert one.code is other.code and one.grasp_index == other.grasp_index
+        assert other.metrics.max_von_mises_stress == pytest.approx(one.metrics.max_von_mises_stress, rel=1e-3)
+        assert other.features.gripper_separation == pytest.approx(one.features.gripper_separation, rel=1e-6)
+
+
+def test_stopping_keeps_what_is_finished():
+    """A run that is told to stop marks what was not finished as canceled."""
+
+    class Impatient(EvaluationObserver):
+        def __init__(self):
+            self.steps = 0
+
+        def should_stop(self):
+            self.steps += 1
+            return self.steps > 10
+
+    grasps = [grasp("held"), grasp("beside", position=(0.06, 0.0, 0.0))]
+    evaluations = evaluate_grasps(block(), grasps, load_gripper(), OPTIONS, observer=Impatient())
+    assert [e.code for e in evaluations] == [ResultCode.CANCELED, ResultCode.NO_CONTACT]
+
+
+def test_no_grasp_is_an_error():
+    """An empty list is refused with its own code."""
+    with pytest.raises(EmptyGraspListError, match="at least one grasp"):
+        evaluate_grasps(block(), [], load_gripper(), OPTIONS)

@@ -1,0 +1,230 @@
+"""The log of a run: what other programs read of it, and what is left of it when its writer dies."""
+
+from __future__ import annotations
+
+import array
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from defgrasp_ros.errors import RecordingError
+
+pytest.importorskip("defgrasp_interfaces.msg", reason="the message definitions are not built")
+pytest.importorskip("sensor_msgs.msg")
+
+from builtin_interfaces.msg import Time  # noqa: E402
+from defgrasp_interfaces.msg import ContactState, EvaluationRequest, EvaluatorStatus, FingerContact, Grasp  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from shape_msgs.msg import MeshTriangle  # noqa: E402
+
+from defgrasp_ros.recording import RunLog, Topic, read_log  # noqa: E402
+from defgrasp_ros.recording.run_log import FLUSH_INTERVAL  # noqa: E402
+
+TOPICS = (
+    Topic("/evaluator/request", EvaluationRequest, depth=1, latched=True),
+    Topic("/evaluator/status", EvaluatorStatus, depth=1, latched=True),
+    Topic("/evaluator/joint_states", JointState, depth=10),
+    Topic("/evaluator/contacts", ContactState, depth=10),
+)
+
+
+def example_messages() -> list[tuple[str, object]]:
+    """A few messages of every topic with strings, arrays and nested messages of awkward lengths."""
+    request = EvaluationRequest(gripper="franka_hand", grasps=[Grasp(id="left"), Grasp(id="päd", target_force=2.5)])
+    request.object.data = array.array("B", range(7))
+    request.object.surface.triangles = [MeshTriangle(vertex_indices=np.array([0, 1, 2], dtype=np.uint32))]
+    request.object.tetrahedra.vertices = array.array("d", [0.1, -1e300, float("inf")])
+    request.object.tetrahedra.tetrahedra = array.array("I", [0, 1, 2, 4294967295])
+    messages: list[tuple[str, object]] = [("/evaluator/request", request)]
+    for index in range(5):
+        joints = JointState(name=["left_finger_joint", "right"], position=[0.1 * index, 2.0], effort=[1.0])
+        joints.header.stamp = Time(sec=index, nanosec=7)
+        finger = FingerContact(name="left_finger", count=index, positions=array.array("d", np.arange(3.0 * index)))
+        messages += [
+            ("/evaluator/joint_states", joints),
+            ("/evaluator/contacts", ContactState(grasp_id="a" * index, fingers=[finger] * (index % 3))),
+            ("/evaluator/status", EvaluatorStatus(state=2, run_id="run", progress=index / 5)),
+        ]
+    return messages
+
+
+def write_example(directory: Path) -> tuple[Path, list[tuple[str, object]]]:
+    messages = example_messages()
+    with RunLog(directory, "run", TOPICS, {"device": "cpu"}) as log:
+        for number, (topic, message) in enumerate(messages):
+            log.write(topic, message, publish_time=1_000 * number)
+    return log.path, messages
+
+
+def equal(read: object, written: object) -> bool:
+    """Whether a decoded message holds what the ROS message holds, field by field."""
+    if hasattr(written, "get_fields_and_field_types"):
+        return all(equal(getattr(read, name), getattr(written, name)) for name in written.get_fields_and_field_types())
+    if hasattr(written, "__len__") and not isinstance(written, str):
+        return len(read) == len(written) and all(map(equal, read, written))
+    return read == written
+
+
+def test_own_reader_returns_what_was_written(tmp_path: Path) -> None:
+    """Messages, order, times and provenance come back as they were written."""
+    path, messages = write_example(tmp_path)
+    run = read_log(path.parent)
+    assert run.complete
+    assert run.provenance == {"device": "cpu"}
+    assert [entry.topic for entry in run.messages] == [topic for topic, _ in messages]
+    assert [entry.publish_time for entry in run.messages] == [1_000 * number for number in range(len(messages))]
+    assert all(equal(entry.message, message) for entry, (_, message) in zip(run.messages, messages, strict=True))
+    assert len(run.on("contacts")) == 5
+
+
+def test_mcap_ros2_reader_agrees(tmp_path: Path) -> None:
+    """The reader of mcap-ros2-support finds profile, statistics and every message."""
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    path, messages = write_example(tmp_path)
+    with open(path, "rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == "ros2"
+        statistics = reader.get_summary().statistics
+        assert statistics.message_count == len(messages)
+        assert statistics.channel_count == len(TOPICS)
+        decoded = [(channel.topic, message) for _, channel, _, message in reader.iter_decoded_messages()]
+    assert all(
+        topic == wanted and equal(read, written)
+        for (topic, read), (wanted, written) in zip(decoded, messages, strict=True)
+    )
+
+
+@pytest.mark.parametrize("opened_as", ["bag folder", "bare file"])
+def test_rosbags_agrees(tmp_path: Path, opened_as: str) -> None:
+    """rosbags, which refuses inexact CDR, reads every message and the quality of service of each topic."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.interfaces import QosDurability, QosReliability
+
+    path, messages = write_example(tmp_path)
+    with AnyReader([path.parent if opened_as == "bag folder" else path]) as reader:
+        profiles = {connection.topic: connection.ext.offered_qos_profiles[0] for connection in reader.connections}
+        read = [
+            (connection.topic, reader.deserialize(data, connection.msgtype))
+            for connection, _, data in reader.messages()
+        ]
+    assert set(profiles) == {topic.name for topic in TOPICS}
+    for topic in TOPICS:
+        assert profiles[topic.name].reliability == QosReliability.RELIABLE
+        assert profiles[topic.name].depth == topic.depth
+        wanted = QosDurability.TRANSIENT_LOCAL if topic.latched else QosDurability.VOLATILE
+        assert profiles[topic.name].durability == wanted
+    assert all(
+        topic == wanted and equal(message, written)
+        for (topic, message), (wanted, written) in zip(read, messages, strict=True)
+    )
+
+
+def test_bag_metadata_counts_the_messages(tmp_path: Path) -> None:
+    """metadata.yaml names the file, the types and how many messages each topic has."""
+    path, messages = write_example(tmp_path)
+    bag = yaml.safe_load((path.parent / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert bag["relative_file_paths"] == [path.name]
+    assert bag["message_count"] == len(messages)
+    counts = {topic["topic_metadata"]["name"]: topic["message_count"] for topic in bag["topics_with_message_count"]}
+    five = {f"/evaluator/{name}": 5 for name in ("status", "joint_states", "contacts")}
+    assert counts == {"/evaluator/request": 1} | five
+
+
+def test_file_cut_at_any_byte_is_readable_up_to_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is left of a file, its reader returns the first messages, and a longer rest never has fewer."""
+    monkeypatch.setattr("defgrasp_ros.recording.run_log.FLUSH_INTERVAL", 0.0)  # a chunk for each message
+    messages = example_messages()
+    log = RunLog(tmp_path, "run", TOPICS, {"device": "cpu"})
+    for topic, message in messages:
+        log.write(topic, message, publish_time=0)
+    log.close()
+    content = log.path.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    found = []
+    for length in range(0, len(content), 97):
+        cut.write_bytes(content[:length])
+        run = read_log(cut)
+        assert not run.complete
+        assert [entry.topic for entry in run.messages] == [topic for topic, _ in messages[: len(run.messages)]]
+        found.append(len(run.messages))
+    assert found == sorted(found)
+    assert found[0] == 0
+    assert set(found) == set(range(len(messages) + 1))
+
+
+WRITER_TO_KILL = """
+import sys, time
+from pathlib import Path
+from defgrasp_interfaces.msg import EvaluatorStatus
+from defgrasp_ros.recording import RunLog, Topic
+log = RunLog(Path(sys.argv[1]), "run", [Topic("/status", EvaluatorStatus, 1)], {})
+for number in range(1_000_000):
+    print(time.monotonic(), flush=True)
+    log.write("/status", EvaluatorStatus(grasp_count=number), 0)
+    time.sleep(0.005)
+"""
+
+
+def test_killed_writer_loses_less_than_the_flush_interval(tmp_path: Path) -> None:
+    """After SIGKILL the log holds all but the messages of the last fraction of a second."""
+    command = [sys.executable, "-c", WRITER_TO_KILL, tmp_path]
+    write_times = []
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as writer:
+        assert writer.stdout is not None
+        for line in writer.stdout:
+            write_times.append(float(line))
+            if len(write_times) == 100:
+                writer.kill()
+    run = read_log(tmp_path / "run")
+    assert not run.complete
+    assert [message.grasp_count for message in run.on("status")] == list(range(len(run.messages)))
+    assert run.messages
+    lost = write_times[len(run.messages) :]
+    assert not lost or lost[-1] - lost[0] < FLUSH_INTERVAL
+
+
+def test_folder_that_cannot_be_made_is_a_recording_error(tmp_path: Path) -> None:
+    """A path below a file names the path and the reason."""
+    (tmp_path / "file").touch()
+    with pytest.raises(RecordingError, match="file/run.*[Nn]ot a directory"):
+        RunLog(tmp_path / "file", "run", TOPICS, {})
+
+
+def test_full_disk_is_a_recording_error_and_leaves_a_readable_log(tmp_path: Path) -> None:
+    """When no more can be written the writer says so, and what was written before can be read."""
+    log = RunLog(tmp_path, "run", TOPICS, {})
+    log.write("/evaluator/request", example_messages()[0][1], publish_time=0)
+    _, hard_limit = soft_and_hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (log.path.stat().st_size + 1_000, hard_limit))
+    try:
+        noise = EvaluatorStatus(run_id=os.urandom(100_000).hex())
+        with pytest.raises(RecordingError, match="cannot write the log"):
+            for _ in range(100):
+                log.write("/evaluator/status", noise, publish_time=0)
+        with pytest.raises(RecordingError, match="closed"):
+            log.write("/evaluator/status", noise, publish_time=0)
+        log.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, soft_and_hard)
+    assert len(read_log(log.path).on("request")) == 1
+
+
+def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
+    """A missing file, another format and an empty folder are recording errors that name the path."""
+    other = tmp_path / "notes.mcap"
+    other.write_text("not a log, but a longer text")
+    with pytest.raises(RecordingError, match="no MCAP file"):
+        read_log(other)
+    with pytest.raises(RecordingError, match="missing.mcap"):
+        read_log(tmp_path / "missing.mcap")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(RecordingError, match="0 .mcap files"):
+        read_log(tmp_path / "empty")
