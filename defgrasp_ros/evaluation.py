@@ -40,7 +40,7 @@ class EvaluationOptions:
     force_safety_factor: float = 1.3
     pickup_hold_time: float = 5.0
     platform_speed: float = 0.08
-    squeeze_time: float = 0.4
+    squeeze_time: float = 0.2
     time_step: float = 1.0 / 200.0
     return_fields: bool = False
 

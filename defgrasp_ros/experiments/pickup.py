@@ -52,11 +52,15 @@ PLATFORM_ACCELERATION = 0.1
 """With which the platform starts to sink [m/s^2]; gentle, so that the weight is handed over, not dropped."""
 LOSS_TIME = 0.02
 """How long a finger must be without contact to count as having lost it [s]."""
-REST_DRIFT = 1e-5
+REST_DRIFT = 1e-4
 """A held object is at rest when at its present speed it would move less than this in the remaining hold time,
 relative to its size [-]."""
 REST_TIME = 0.1
 """How long it must be so slow; a swing that turns round is slow for a moment only [s]."""
+LONG_STEP = 4
+"""Time steps in one while all that still hangs moves slowly."""
+SLOW_MOTION = 3e-3
+"""Motion in a long step, relative to the object's size, that counts as slow [-]."""
 LOWERING_TIME_LIMIT = 10.0
 """Time within which the platform must have lost the object [s]."""
 UP = np.array([0.0, 0.0, 1.0])
@@ -93,9 +97,11 @@ def evaluate_grasps(
     batches = [range(first, min(first + MAX_BATCH, len(grasps))) for first in range(0, len(grasps), MAX_BATCH)]
     simulator = Simulator(object_model, gripper, len(batches[0]) + 1, device)
     evaluations: list[GraspEvaluation] = []
+    start = 0.0
     for batch in batches:
-        experiment = _Pickup(simulator, [(i, grasps[i]) for i in batch], options, observer, len(grasps))
+        experiment = _Pickup(simulator, [(i, grasps[i]) for i in batch], options, observer, len(grasps), start)
         evaluations += experiment.run()
+        start = experiment.time
     return evaluations
 
 
@@ -126,6 +132,7 @@ class _Pickup:
         options: EvaluationOptions,
         observer: EvaluationObserver,
         total: int,
+        start_time: float,
     ):
         self.simulator = simulator
         self.model = simulator.model
@@ -134,8 +141,8 @@ class _Pickup:
         self.observer = observer
         self.total = total
         self.started = time.monotonic()
-        self.time = 0.0
-        self.next_sample = 0.0
+        self.time = start_time
+        self.next_sample = start_time
         self.settled_world = simulator.world_count - 1
         self.platform_height = float(self.model.mesh.vertices[:, 2].min())
         default_force = self.model.default_target_force(options.force_safety_factor)
@@ -166,13 +173,13 @@ class _Pickup:
         if self._is_first_batch():
             self.simulator.place_platform(np.arange(self.simulator.world_count), self.platform_height)
             for _ in range(SETTLE_STEPS):
-                report = self._step(world, np.zeros(1), self.platform_height, quasi_static=True)
+                report = self._step(world, self.options.time_step, np.zeros(1), self.platform_height, quasi_static=True)
                 if not report.converged.all():
                     break
                 last, shape = shape, self.simulator.positions(world)[0]
                 if deformation(last, shape, weights).max() < SETTLED_CHANGE * self.model.mesh.size:
                     break
-        self.pre_contact = self._deformed_states(world)[0]
+        self.pre_contact = replace(self._deformed_states(world)[0], opening=np.nan)
         self.settling_rotation, self.settling_translation = rigid_motion(rest, self.pre_contact.positions, weights)
 
     def _is_first_batch(self) -> bool:
@@ -228,7 +235,7 @@ class _Pickup:
             share = min(1.0, elapsed / ramp)
             self._progress(Phase.SQUEEZE, 0.1 + 0.4 * share)
             target = np.array([self.worlds[w].target_force for w in waiting])
-            self._step(waiting, share * target, self.platform_height, quasi_static=True)
+            self._step(waiting, h, share * target, self.platform_height, quasi_static=True)
             normal = self.simulator.normal_forces(waiting)
             openings = self.simulator.openings(waiting)
             last, positions = positions, self.simulator.positions(waiting)
@@ -258,14 +265,15 @@ class _Pickup:
 
     def _lower_and_hold(self) -> None:
         """Take the platform away and wait until each object has been held long enough, or is lost."""
-        h, hold = self.options.time_step, self.options.pickup_hold_time
+        hold, size = self.options.pickup_hold_time, self.model.mesh.size
         elapsed, speed, height = 0.0, 0.0, self.platform_height
+        h = self.options.time_step
         while len(self.running) and not self._canceled():
             elapsed += h
             speed = min(speed + PLATFORM_ACCELERATION * h, self.options.platform_speed)
             height -= speed * h
             target = np.array([self.worlds[w].target_force for w in self.running])
-            self._step(self.running, target, height, quasi_static=False)
+            self._step(self.running, h, target, height, quasi_static=False)
             self._drop_finished()
             if not len(self.running):
                 break
@@ -276,7 +284,10 @@ class _Pickup:
             self._progress(phase, 0.5 + 0.5 * min(1.0, min(held) / max(hold, h)))
             self._sample(phase, self.running, np.array([self.worlds[w].target_force for w in self.running]))
             for row, w in enumerate(self.running):
-                self._follow_hold(int(w), normal[row], fastest[row], elapsed)
+                self._follow_hold(int(w), h, normal[row], fastest[row], elapsed)
+            long_step = LONG_STEP * self.options.time_step
+            calm = (normal[:, 2] == 0.0).all() and fastest.max() * long_step < SLOW_MOTION * size
+            h = long_step if calm else self.options.time_step
             self._drop_finished()
         for w in self.running:
             self._finish(
@@ -284,9 +295,9 @@ class _Pickup:
             )
         self._drop_finished()
 
-    def _follow_hold(self, w: int, normal: np.ndarray, fastest: float, elapsed: float) -> None:
+    def _follow_hold(self, w: int, h: float, normal: np.ndarray, fastest: float, elapsed: float) -> None:
         """Decide after a step whether one grasp has held, lost or goes on."""
-        world, h = self.worlds[w], self.options.time_step
+        world = self.worlds[w]
         remaining = self.options.pickup_hold_time - world.holding_time
         touching = (normal[:2] > TOUCHING_SHARE * world.target_force).all()
         on_platform = normal[2] > 0.0
@@ -303,7 +314,7 @@ class _Pickup:
             self._finish(world, ResultCode.DROPPED, text)
         elif on_platform and elapsed > LOWERING_TIME_LIMIT:
             self._finish(world, ResultCode.DROPPED, "the object went down with the platform")
-        elif world.holding_time >= self.options.pickup_hold_time or world.time_at_rest >= REST_TIME:
+        elif not on_platform and (remaining <= h or world.time_at_rest >= REST_TIME):
             world.evaluation.holding_time = self.options.pickup_hold_time
             self._measure_pickup(w)
 
@@ -360,9 +371,10 @@ class _Pickup:
 
     # --- bookkeeping --------------------------------------------------------------------------------------------
 
-    def _step(self, worlds: np.ndarray, closing_force: np.ndarray, height: float, *, quasi_static: bool) -> StepReport:
+    def _step(
+        self, worlds: np.ndarray, h: float, closing_force: np.ndarray, height: float, *, quasi_static: bool
+    ) -> StepReport:
         """Advance some worlds; one that finds no solution is finished with the reason."""
-        h = self.options.time_step
         report = self.simulator.step(worlds, h, closing_force, np.full(len(worlds), height), quasi_static=quasi_static)
         self.time += h
         for row, w in enumerate(worlds):

@@ -1,18 +1,20 @@
 """Tetrahedra from a closed surface, by fTetWild.
 
-Elements are as large as a simulation can use, larger than the triangles of a scan. So the surface is decimated
-first (an order of magnitude faster than fTetWild's own simplification), meshed within an envelope around it, and
-the boundary then moved so that the solid has the surface's volume. The envelope is narrow for a designed shape of
-few triangles, whose edges matter, and wide for a scan, whose roughness is not worth elements.
+fTetWild keeps the boundary within an envelope around the surface, and needs elements as fine as the triangles to
+do so. Triangles of a scan are much finer, those of a designed shape much coarser than the elements a simulation
+wants. So the triangles are brought to the size of the elements first, which is also an order of magnitude faster;
+and the boundary is moved at the end so that the solid has the surface's volume.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,23 +30,32 @@ if TYPE_CHECKING:
 MAX_TETRAHEDRA = 50_000
 """About 10 000 nodes, for which the simulation's dense inverse takes 3.6 GB."""
 
-DEFAULT_TETRAHEDRA = 3_000
-"""Elements aimed at where no edge length is asked for; it becomes 3 000 to 4 500, with 800 to 1 100 nodes."""
-
-MIN_ENVELOPE, MAX_ENVELOPE = 0.02, 0.1
-"""How far the boundary may be from the surface, in edge lengths: of few triangles, and of as many as are kept."""
+DEFAULT_TETRAHEDRA, DEFAULT_BOUNDARY_FACES = 3_000, 2_000
+"""Size aimed at where no edge length is asked for: of a compact body, and of a thin one; about 1 000 nodes."""
 
 TRIANGLES_PER_FACE = 3
-"""Triangles kept by decimation for each boundary face of the mesh to come."""
+"""Triangles kept for each boundary face of the mesh to come."""
 
 MIN_TRIANGLES = 100
-"""Decimation leaves this many, however large the elements are to be."""
+"""As many triangles are kept however large the elements are to be."""
 
-VOLUME_TOLERANCE = 0.05
+LONGEST_TRIANGLE_EDGE = 4.0 / 3.0
+"""In edge lengths of the elements; the length at which fTetWild splits edges too."""
+
+ENVELOPE = 0.1
+"""How far the boundary may be from the surface, in edge lengths."""
+
+THIN_ENVELOPE = 0.2
+"""The same, in volume / area: a tenth of the thickness of a plate."""
+
+VOLUME_TOLERANCE = 0.1
 """Largest relative difference of volume that moving the boundary may mend; more means that parts are missing."""
 
-TIME_LIMIT = 120
-"""Time after which the mesher is stopped [s]; a scan of 16 000 triangles takes 2 s."""
+ATTEMPTS = 3
+"""How often a mesh is tried, each time inserting the triangles in another order."""
+
+TIME_LIMIT = 120.0
+"""Time after which the mesher is stopped [s], all attempts together; a scan of 16 000 triangles takes 3 s."""
 
 MEMORY_LIMIT = 4 * 2**30
 """Address space of the mesher [B]."""
@@ -73,21 +84,23 @@ def tetrahedralize(vertices: np.ndarray, triangles: np.ndarray, target_edge_leng
     import trimesh
 
     surface = trimesh.Trimesh(vertices, triangles, process=False)
-    volume = float(surface.volume)
+    volume, area = float(surface.volume), float(surface.area)
     if target_edge_length is None:
-        target_edge_length = _edge_length(volume, DEFAULT_TETRAHEDRA)
-    require_in_range(InvalidMeshError, "target_edge_length", target_edge_length, 0.0, low_open=True, unit="m")
+        target_edge_length = max(
+            _edge_length(volume, DEFAULT_TETRAHEDRA), (area / (REGULAR_TRIANGLE * DEFAULT_BOUNDARY_FACES)) ** 0.5
+        )
+    check = require_in_range
+    check(
+        InvalidMeshError, "target_edge_length", target_edge_length, 0.0, surface.extents.max(), low_open=True, unit="m"
+    )
     finest = _edge_length(volume, MAX_TETRAHEDRA)
     if target_edge_length < finest:
         raise MeshTooLargeError(
             f"target_edge_length = {target_edge_length:g} m asks for more than {MAX_TETRAHEDRA} tetrahedra; "
             f"give at least {finest:.2g} m"
         )
-    faces = surface.area / (REGULAR_TRIANGLE * target_edge_length**2)
-    useful_triangles = max(MIN_TRIANGLES, int(TRIANGLES_PER_FACE * faces))
-    if len(surface.faces) > useful_triangles:
-        surface = surface.simplify_quadric_decimation(face_count=useful_triangles)
-    envelope = max(MIN_ENVELOPE, MAX_ENVELOPE * len(surface.faces) / useful_triangles) * target_edge_length
+    surface = _with_triangle_size(surface, target_edge_length)
+    envelope = min(ENVELOPE * target_edge_length, THIN_ENVELOPE * volume / area)
     mesh = _run_tetwild(surface, target_edge_length, envelope)
     if abs(mesh.volume - volume) > VOLUME_TOLERANCE * volume:
         raise TetrahedralizationError(
@@ -103,8 +116,68 @@ def _edge_length(volume: float, tetrahedra: int) -> float:
     return (volume / (REGULAR_TETRAHEDRON * tetrahedra)) ** (1.0 / 3.0)
 
 
+def _with_triangle_size(surface: trimesh.Trimesh, edge_length: float) -> trimesh.Trimesh:
+    """Return the surface with triangles that suit elements of that edge length [m]."""
+    import trimesh
+
+    faces = surface.area / (REGULAR_TRIANGLE * edge_length**2)
+    count = max(MIN_TRIANGLES, int(TRIANGLES_PER_FACE * faces))
+    if len(surface.faces) > count:
+        return surface.simplify_quadric_decimation(face_count=count)
+    split = _split_long_edges(surface.vertices, surface.faces, LONGEST_TRIANGLE_EDGE * edge_length, count)
+    return trimesh.Trimesh(*split, process=False)
+
+
+def _split_long_edges(
+    vertices: np.ndarray, triangles: np.ndarray, max_length: float, max_triangles: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Halve edges until none is too long or there are enough triangles; the surface keeps its shape.
+
+    An edge is split where it is the longest one of both of its triangles, so that they stay joined and well shaped.
+    """
+    while len(triangles) < max_triangles:
+        pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
+        edges, edge_of_side = np.unique(pairs, axis=0, return_inverse=True)
+        edge_of_side = edge_of_side.reshape(-1, 3)
+        lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+        rank = np.empty(len(edges), dtype=int)
+        rank[np.argsort(lengths, kind="stable")] = np.arange(len(edges))  # no two edges are equally long
+        longest_side = rank[edge_of_side].argmax(axis=1)
+        longest = np.take_along_axis(edge_of_side, longest_side[:, None], axis=1)[:, 0]
+        is_longest_of_all = np.bincount(longest, minlength=len(edges)) == np.bincount(edge_of_side.ravel())
+        to_split = is_longest_of_all & (lengths > max_length)
+        if not to_split.any():
+            break
+        middle = np.cumsum(to_split) - 1 + len(vertices)
+        vertices = np.concatenate([vertices, vertices[edges[to_split]].mean(axis=1)])
+        halved = to_split[longest]
+        sides = (longest_side[halved, None] + np.arange(3)) % 3
+        start, end, apex = np.take_along_axis(triangles[halved], sides, axis=1).T
+        new = middle[longest[halved]]
+        halves = [np.column_stack([start, new, apex]), np.column_stack([new, end, apex])]
+        triangles = np.concatenate([triangles[~halved], *halves])
+    return vertices, triangles
+
+
 def _run_tetwild(surface: trimesh.Trimesh, edge_length: float, envelope: float) -> TetMesh:
-    """Mesh the surface in a separate process; lengths in [m]."""
+    """Mesh the surface in separate processes until one succeeds; lengths in [m]."""
+    deadline = time.monotonic() + TIME_LIMIT
+    for seed in range(ATTEMPTS):
+        try:
+            return TetMesh(*_run_worker(surface, edge_length, envelope, seed, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired as error:
+            raise TetrahedralizationError(
+                f"the mesher did not finish in {TIME_LIMIT:g} s; give a larger target_edge_length or a simpler surface"
+            ) from error
+        except InvalidMeshError as error:  # the next order of insertion may well succeed
+            failure = error
+    raise TetrahedralizationError(f"the mesher failed: {failure}")
+
+
+def _run_worker(
+    surface: trimesh.Trimesh, edge_length: float, envelope: float, seed: int, time_limit: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Run the mesher once; return vertices [m] and tetrahedra."""
     with tempfile.TemporaryDirectory(prefix="defgrasp_") as directory:
         request, answer = Path(directory, "surface.npz"), Path(directory, "tetrahedra.npz")
         np.savez(
@@ -113,8 +186,9 @@ def _run_tetwild(surface: trimesh.Trimesh, edge_length: float, envelope: float) 
             triangles=np.asarray(surface.faces),
             edge_length=edge_length,
             relative_envelope=envelope / np.linalg.norm(surface.extents),
+            seed=seed,
             memory_limit=MEMORY_LIMIT,
-            time_limit=TIME_LIMIT,
+            time_limit=math.ceil(TIME_LIMIT),
         )
         # One thread: each thread of a numerics library reserves address space, which is limited.
         environment = {
@@ -123,27 +197,20 @@ def _run_tetwild(surface: trimesh.Trimesh, edge_length: float, envelope: float) 
             "OPENBLAS_NUM_THREADS": "1",
             "OMP_NUM_THREADS": "1",
         }
-        try:
-            process = subprocess.run(
-                [sys.executable, str(WORKER), str(request), str(answer)],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                text=True,
-                errors="replace",
-                timeout=TIME_LIMIT,
-                env=environment,
-            )
-        except subprocess.TimeoutExpired as error:
-            raise TetrahedralizationError(
-                f"the mesher did not finish in {TIME_LIMIT} s; give a larger target_edge_length or a simpler surface"
-            ) from error
+        process = subprocess.run(
+            [sys.executable, str(WORKER), str(request), str(answer)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            timeout=max(time_limit, 0.0),
+            env=environment,
+        )
         if process.returncode != 0:
-            raise TetrahedralizationError(f"the mesher failed: {_reason(process)}")
+            raise TetrahedralizationError(_reason(process))
         with np.load(answer) as arrays:
-            if len(arrays["tetrahedra"]) == 0:
-                raise TetrahedralizationError("the mesher found no inside: is the surface closed, and not flat?")
-            return TetMesh(arrays["vertices"], arrays["tetrahedra"])
+            return arrays["vertices"], arrays["tetrahedra"]
 
 
 def _reason(process: subprocess.CompletedProcess) -> str:

@@ -15,21 +15,24 @@ import pytetwild
 
 READ_WRITE_EXECUTE = 7
 
-RETURN_ZERO = {
-    "x86_64": bytes.fromhex("31c0c3"),  # xor eax, eax; ret
-    "aarch64": bytes.fromhex("00008052c0035fd6"),  # mov w0, #0; ret
-}
+
+def return_constant(value: int) -> bytes:
+    """Return the machine code of a function that returns ``value``, in [0, 65535]."""
+    return {
+        "x86_64": b"\xb8" + value.to_bytes(4, "little") + b"\xc3",  # mov eax, value; ret
+        "aarch64": (0x52800000 | value << 5).to_bytes(4, "little") + bytes.fromhex("c0035fd6"),  # mov w0, #value; ret
+    }[platform.machine()]
 
 
-def make_repeatable() -> None:
-    """Let ``std::random_device`` return zero in this process, so that equal input gives equal tetrahedra.
+def make_repeatable(seed: int) -> None:
+    """Let ``std::random_device`` return ``seed`` in this process, so that equal input gives equal tetrahedra.
 
     fTetWild inserts the triangles in an order shuffled by ``std::mt19937(std::random_device()())`` and offers no
     seed; it is its only source of chance. Where the function cannot be replaced (another architecture, a hardened
     system) the mesh is as good, but differs from run to run.
     """
     try:
-        code = RETURN_ZERO[platform.machine()]
+        code = return_constant(seed)
         function = ctypes.CDLL("libstdc++.so.6")._ZNSt13random_device9_M_getvalEv
     except (KeyError, OSError, AttributeError):
         return
@@ -47,7 +50,7 @@ def main(input_path: str, output_path: str) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
         # Ends this process also where the one that waits for it was killed.
         resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-        make_repeatable()
+        make_repeatable(int(request["seed"]))
         vertices, tetrahedra = pytetwild.tetrahedralize(
             request["vertices"],
             request["triangles"].astype(np.int32),

@@ -18,7 +18,7 @@ wp.set_module_options({"enable_backward": False})
 
 INITIAL_CAPACITY = 32
 """Contact points per world; grows in steps of this."""
-MARGIN = 2e-3
+MARGIN = 1e-2
 """Gap below which a point becomes a candidate, relative to the mean surface edge [-]."""
 PENETRATION = 1e-5
 """Depth of an unlisted point that makes a step look for contacts again, relative to the object's size [-]."""
@@ -59,7 +59,7 @@ class ContactSet:
         worlds, device = self._world_count, self._device
         old = getattr(self, "lists", None)
         self.capacity = capacity
-        self.lists, self._found = self._contact_list(capacity), self._contact_list(capacity)
+        self.lists, self._found, self._merged = (self._contact_list(capacity) for _ in range(3))
         if old is not None:
             every = wp.array(np.arange(worlds), dtype=int, device=device)
             self._launch(contact.copy_contacts, worlds, [every, old, self.lists])
@@ -92,13 +92,26 @@ class ContactSet:
         self._launch(contact.carry_forces, rows.shape[0], inputs, [self._found, self.stale, self._missing])
         self._launch(contact.copy_contacts, rows.shape[0], [rows, self._found, self.lists])
 
-    def is_incomplete(self, rows: wp.array) -> np.ndarray:
-        """Return which rows have a point deep inside a body that is not listed; the lists stay as they are."""
-        self._search(rows, -self._penetration)
-        ignored = wp.zeros_like(self.stale)
+    def complete(self, rows: wp.array) -> np.ndarray:
+        """Add points that are deep inside a body and not listed; return in which rows there were any."""
+        while True:
+            self._search(rows, -self._penetration)
+            worlds = rows.numpy()
+            room = (self.lists.count.numpy()[worlds] + self._found.count.numpy()[worlds]).max(initial=0)
+            if room <= self.capacity:
+                break
+            self._allocate(_rounded(room))
+        unchanged = wp.zeros_like(self.stale)
         inputs = [rows, self.lists, self._gap, self._penetration]
-        self._launch(contact.carry_forces, rows.shape[0], inputs, [self._found, ignored, self._missing])
-        return self._missing.numpy()[: rows.shape[0]] > 0
+        self._launch(contact.carry_forces, len(worlds), inputs, [self._found, unchanged, self._missing])
+        missing = self._missing.numpy()[: len(worlds)] > 0
+        if missing.any():
+            some = wp.array(worlds[missing], dtype=int, device=self._device)
+            self._launch(
+                contact.merge_contacts, some.shape[0], [some, self.lists, self._found], [self._merged, self.stale]
+            )
+            self._launch(contact.copy_contacts, some.shape[0], [some, self._merged, self.lists])
+        return missing
 
     def _search(self, rows: wp.array, margin: float) -> None:
         """Fill the list of found points, which grows as needed."""
@@ -109,7 +122,7 @@ class ContactSet:
             largest = int(self._found.count.numpy()[rows.numpy()].max(initial=0))
             if largest <= self.capacity:
                 return
-            self._allocate(INITIAL_CAPACITY * -(-largest // INITIAL_CAPACITY))
+            self._allocate(_rounded(largest))
 
     def pad_gaps(self, rows: wp.array, reach: float) -> np.ndarray:
         """Return the distance of each pad face from the surface in front of it [m], shape ``(row, 2)``.
@@ -252,6 +265,11 @@ class ContactSet:
 
     def _launch(self, kernel, dim, inputs: list, outputs: list | None = None) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self._device)
+
+
+def _rounded(count: int) -> int:
+    """The next capacity that holds ``count`` points."""
+    return INITIAL_CAPACITY * -(-count // INITIAL_CAPACITY)
 
 
 @wp.kernel

@@ -370,6 +370,46 @@ def carry_forces(
     missing_out[i] = missing
 
 
+@wp.func
+def copy_contact(source: ContactList, k: int, target: ContactList, c: int, world: int):
+    """Copy entry k of one list to entry c of another."""
+    target.key[world, c] = source.key[world, k]
+    target.body[world, c] = source.body[world, k]
+    target.nodes[world, c] = source.nodes[world, k]
+    target.weights[world, c] = source.weights[world, k]
+    target.force[world, c] = source.force[world, k]
+
+
+@wp.kernel
+def merge_contacts(
+    worlds: wp.array[int],  # (row,)
+    listed: ContactList,
+    found: ContactList,
+    # Out:
+    merged: ContactList,
+    compliance_is_stale: wp.array[int],  # (world,)
+):
+    """Add the points that were found to those that are listed, which stay as they are; all sorted by key."""
+    i = wp.tid()
+    w = worlds[i]
+    k = int(0)
+    count = int(0)
+    for c in range(found.count[w]):
+        while k < listed.count[w] and listed.key[w, k] < found.key[w, c]:
+            copy_contact(listed, k, merged, count, w)
+            k += 1
+            count += 1
+        if k == listed.count[w] or listed.key[w, k] != found.key[w, c]:
+            copy_contact(found, c, merged, count, w)
+            count += 1
+    while k < listed.count[w]:
+        copy_contact(listed, k, merged, count, w)
+        k += 1
+        count += 1
+    merged.count[w] = count
+    compliance_is_stale[w] = 1
+
+
 @wp.kernel
 def copy_contacts(worlds: wp.array[int], source: ContactList, target: ContactList):
     """Copy the lists of some worlds."""
@@ -377,11 +417,7 @@ def copy_contacts(worlds: wp.array[int], source: ContactList, target: ContactLis
     w = worlds[i]
     target.count[w] = source.count[w]
     for c in range(source.count[w]):
-        target.key[w, c] = source.key[w, c]
-        target.body[w, c] = source.body[w, c]
-        target.nodes[w, c] = source.nodes[w, c]
-        target.weights[w, c] = source.weights[w, c]
-        target.force[w, c] = source.force[w, c]
+        copy_contact(source, c, target, c, w)
 
 
 @wp.func

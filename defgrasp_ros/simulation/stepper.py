@@ -10,7 +10,8 @@ state, turned by the nodal rotations R:
     y = R P R^T residual;    solve the contact laws for lambda' with  w = w(u + y) + W (lambda' - lambda);
     u <- u + y + R P R^T J^T (lambda' - lambda).
 
-Its fixed point satisfies the equations above whatever P is. A step counts as solved when both residuals, that of
+Anderson acceleration mixes it with the iterates before (:mod:`anderson`). The fixed point satisfies the equations above
+whatever P is. A step counts as solved when both residuals, that of
 the nodes and that of the contacts, are below ``TOLERANCE`` of the world's force scale.
 """
 
@@ -23,6 +24,7 @@ import warp as wp
 
 from defgrasp_ros.simulation import kernels_contact as contact
 from defgrasp_ros.simulation import kernels_elasticity as elastic
+from defgrasp_ros.simulation.anderson import Anderson
 from defgrasp_ros.simulation.contact_set import ContactSet
 from defgrasp_ros.simulation.dense import DeviceAlgebra, HostAlgebra
 from defgrasp_ros.simulation.device_model import DeviceModel
@@ -40,6 +42,8 @@ CONTACT_REDUCTION = 1e-3
 """Early iterations need no better contact forces than this fraction of their residual [-]."""
 MAX_ITERATIONS = 40
 """Iterations after which a step is given up."""
+RESTART_GROWTH = 2.0
+"""Growth of the residual in an iteration at which the acceleration starts anew [-]."""
 MAX_SEARCHES = 5
 """How often a solved step looks for contacts that it overlooked."""
 
@@ -96,6 +100,8 @@ class Stepper:
         self._residual, self._correction, self._turned, self._product = (
             zeros(model.node_count, vec3d) for _ in range(4)
         )
+        self._before = zeros(model.node_count, vec3d)
+        self._anderson = Anderson(world_count, model.node_count, contacts.capacity, device)
         self._norm = wp.zeros(world_count, dtype=wp.float64, device=device)
 
     def step(
@@ -120,7 +126,9 @@ class Stepper:
         contacts.find(rows)
         self._move_fingers(rows, h)
 
+        self._forget(worlds)
         active = np.arange(count)
+        last_residual = np.full(count, np.inf)
         searches = np.zeros(count, dtype=int)
         for iteration in range(MAX_ITERATIONS + 1):
             rows = self._rows(worlds[active])
@@ -137,6 +145,8 @@ class Stepper:
                     self._evaluate_residual(rows, shared)
             if iteration == MAX_ITERATIONS or not len(active) or not np.isfinite(report.residual[active]).all():
                 break
+            self._forget(worlds[active[report.residual[active] > RESTART_GROWTH * last_residual[active]]])
+            last_residual[active] = report.residual[active]
             report.iterations[active] += 1
             reduction = np.maximum(CONTACT_TOLERANCE, CONTACT_REDUCTION * report.residual[active])
             report.contact_fallbacks[active] += self._correct(rows, shared, force_scale[active] * reduction)
@@ -147,16 +157,22 @@ class Stepper:
     def _overlooked_contacts(
         self, worlds: np.ndarray, active: np.ndarray, solved: np.ndarray, searches: np.ndarray
     ) -> np.ndarray:
-        """Look for contacts anew where a solved world has an unlisted point inside a body; return where."""
+        """List the points that a solved world has inside a body without knowing; return where there are any."""
         candidates = np.flatnonzero(solved)
-        incomplete = self._contacts.is_incomplete(self._rows(worlds[active[candidates]]))
+        candidates = candidates[searches[active[candidates]] < MAX_SEARCHES]
+        incomplete = self._contacts.complete(self._rows(worlds[active[candidates]]))
         again = np.zeros(len(active), dtype=bool)
         again[candidates[incomplete]] = True
         searches[active[again]] += 1
-        again &= searches[active] <= MAX_SEARCHES
-        if again.any():
-            self._contacts.find(self._rows(worlds[active[again]]))
+        self._forget(worlds[active[again]])
         return again
+
+    def _forget(self, worlds: np.ndarray) -> None:
+        """Start the acceleration of some worlds anew."""
+        if self._contacts.capacity != self._anderson.capacity:
+            world_count = self._norm.shape[0]
+            self._anderson = Anderson(world_count, self._model.node_count, self._contacts.capacity, self._device)
+        set_entries(self._anderson.length, worlds, 0)
 
     def _evaluate_residual(self, rows: wp.array, shared: SharedCompliance) -> np.ndarray:
         """Leave the nodal residual in its buffer; return the worse of nodal and contact residual [N]."""
@@ -191,6 +207,8 @@ class Stepper:
     def _correct(self, rows: wp.array, shared: SharedCompliance, contact_tolerance: np.ndarray) -> np.ndarray:
         """One correction of displacement, opening and forces; return which rows had a hard contact problem."""
         nodes, displacement = (rows.shape[0], self._model.node_count), self._state.displacement
+        lists = self._contacts.lists
+        self._launch(_take_rows, nodes, [rows, displacement], [self._before])
         self._apply_compliance(rows, shared)
         hard = self._contacts.solve(rows, self._correction, contact_tolerance)
         self._launch(elastic.add_correction, nodes, [rows, self._correction, displacement])
@@ -198,6 +216,7 @@ class Stepper:
         self._contacts.add_force_change(rows, self._residual)
         self._apply_compliance(rows, shared)
         self._launch(elastic.add_correction, nodes, [rows, self._correction, displacement])
+        self._anderson.mix(rows, self._before, displacement, lists.count, lists.force)
         self._move_fingers(rows, shared.step_length)
         return hard
 
@@ -232,6 +251,13 @@ class Stepper:
 
     def _launch(self, kernel, dim, inputs: list, outputs: list | None = None) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self._device)
+
+
+@wp.kernel
+def _take_rows(worlds: wp.array[int], field: wp.array2d[vec3d], rows_out: wp.array2d[vec3d]):
+    """Copy a nodal field of some worlds (world, node) into a work buffer (row, node)."""
+    i, n = wp.tid()
+    rows_out[i, n] = field[worlds[i], n]
 
 
 @wp.kernel
