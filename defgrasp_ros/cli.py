@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from defgrasp_ros import evaluation as ev
@@ -18,7 +19,12 @@ from defgrasp_ros.gripper import DEFAULT_GRIPPER, load_gripper
 from defgrasp_ros.material import Material
 from defgrasp_ros.object_model import ObjectModel
 
-app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # brackets in the help are units
+)
 DEFAULTS = ev.EvaluationOptions()
 MATERIAL = Material()
 
@@ -91,7 +97,7 @@ def evaluate(
     screen.print(evaluation_table(evaluations))
     for evaluation in evaluations:
         if not evaluation.metrics.pickup_success:
-            screen.print(f"{evaluation.grasp_id}: {evaluation.message}", highlight=False)
+            screen.print(f"{evaluation.grasp_id}: {evaluation.message}", markup=False, highlight=False)
     counts = Counter(evaluation.code.name for evaluation in evaluations)
     screen.print(", ".join(f"{count} {name}" for name, count in counts.most_common()))
 
@@ -152,7 +158,8 @@ def main() -> None:
     try:
         app()
     except DefgraspError as error:
-        Console(stderr=True).print(f"[red]error[/] {error.code.name}: {error}", highlight=False)
+        text = escape(f"{error.code.name}: {error}")
+        Console(stderr=True).print("[red]error[/]", text, highlight=False, soft_wrap=True)
         sys.exit(1)
 
 

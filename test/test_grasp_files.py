@@ -121,7 +121,7 @@ def test_faults_in_json_are_named(tmp_path, text, words):
         (np.zeros((2, 7)), "grasps", ["poses", "grasps"]),
         (np.zeros((2, 6)), "poses", ["(2, 6)", "(grasp, 7)"]),
         (np.zeros(7), "poses", ["(7,)"]),
-        (np.array([[0, 0, 0, 1, 0, 0, 0], [0, 0, 0, 0, 0, 0, 0]], dtype=float), "poses", ["row 1", "quaternion", "norm 0"]),
+        (np.array([[0, 0, 0, 1.0, 0, 0, 0], [0.0] * 7]), "poses", ["row 1", "quaternion", "norm 0"]),
         (np.array([[np.nan, 0, 0, 1, 0, 0, 0]]), "poses", ["row 0", "nan"]),
         (np.array([[0, 0, 0, 1, 1, 0, 0]], dtype=float), "poses", ["row 0", "norm 1.414"]),
     ],

@@ -117,6 +117,9 @@ def _parse_surface(data: bytes, format: str) -> tuple[np.ndarray, np.ndarray]:
 
     try:
         surface = trimesh.load_mesh(io.BytesIO(data), file_type=format, process=False)
-        return np.asarray(surface.vertices), np.asarray(surface.faces).reshape(-1, 3)
     except Exception as error:
         raise InvalidMeshError(f"cannot be read as {format}: {error}") from error
+    triangles = np.asarray(getattr(surface, "faces", ()))
+    if len(triangles) == 0:
+        raise InvalidMeshError(f"holds no triangles that can be read as {format}")
+    return np.asarray(surface.vertices), triangles

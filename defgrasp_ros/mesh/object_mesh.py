@@ -77,7 +77,7 @@ def _scaled(vertices: np.ndarray, scale: float) -> np.ndarray:
 
 
 def _require_plausible_size(vertices: np.ndarray) -> None:
-    if vertices.ndim != 2 or len(vertices) == 0 or not np.isfinite(vertices).all():
+    if vertices.shape[1:] != (3,) or len(vertices) == 0 or not np.isfinite(vertices).all():
         return  # the arrays themselves are wrong; whoever reads them says how
     extents = np.ptp(vertices, axis=0)
     if not MIN_EXTENT <= extents.max() <= MAX_EXTENT:

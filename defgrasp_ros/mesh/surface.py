@@ -54,9 +54,11 @@ def closed_surface(vertices: np.ndarray, triangles: np.ndarray) -> trimesh.Trime
                 "the triangles have no consistent inside and outside; give a surface in which every edge joins "
                 "triangles of opposite winding"
             )
-    if surface.volume < 0.0:
+    with np.errstate(divide="ignore", invalid="ignore"):  # the volume comes with the centre of mass, divided by it
+        volume = float(surface.volume)
+    if volume < 0.0:
         surface.invert()
-    if surface.volume <= MIN_RELATIVE_VOLUME * surface.area**1.5:
+    if abs(volume) <= MIN_RELATIVE_VOLUME * surface.area**1.5:
         raise InvalidMeshError("the surface is closed but encloses no volume; a solid object is needed")
     return surface
 

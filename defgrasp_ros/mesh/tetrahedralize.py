@@ -27,8 +27,8 @@ from defgrasp_ros.mesh.tet_mesh import TetMesh, signed_volumes
 if TYPE_CHECKING:
     import trimesh
 
-MAX_TETRAHEDRA = 50_000
-"""About 10 000 nodes, for which the simulation's dense inverse takes 3.6 GB."""
+MAX_TETRAHEDRA = 20_000
+"""About 4500 nodes, for which each dense inverse of the simulation takes 1.5 GB."""
 
 DEFAULT_TETRAHEDRA, DEFAULT_BOUNDARY_FACES = 3_000, 2_000
 """Size aimed at where no edge length is asked for: of a compact body, and of a thin one; about 1 000 nodes."""
@@ -193,12 +193,13 @@ def _run_worker(
         # One thread: each thread of a numerics library reserves address space, which is limited.
         environment = {
             **os.environ,
-            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+            "PYTHONPATH": os.pathsep.join(map(os.path.abspath, filter(None, sys.path))),
             "OPENBLAS_NUM_THREADS": "1",
             "OMP_NUM_THREADS": "1",
         }
         process = subprocess.run(
             [sys.executable, str(WORKER), str(request), str(answer)],
+            cwd=directory,  # fTetWild leaves files of its own there
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,

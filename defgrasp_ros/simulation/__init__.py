@@ -2,5 +2,5 @@
 
 import warp as wp
 
-# Standard output belongs to the caller; Warp's banner and load messages would end up there.
-wp.config.quiet = True
+# Standard output belongs to the caller, and a machine without a GPU is nothing to warn of.
+wp.config.log_level = wp.LOG_ERROR

@@ -57,11 +57,12 @@ class RestSystem:
             raise InvalidMeshError(
                 "the mesh has no positive definite stiffness: it contains degenerate or inverted tetrahedra"
             )
-        lower, _ = lapack.dpotri(factor, lower=1, overwrite_c=1)
-        inverse = np.tril(lower) + np.tril(lower, -1).T
+        inverse, _ = lapack.dpotri(factor, lower=1, overwrite_c=1)
+        for column in range(len(inverse)):
+            inverse[column, column + 1 :] = inverse[column + 1 :, column]
         rigid_diagonal = step_length**2 * (self._rigid_modes**2).sum(axis=1)
         elastic = (np.diagonal(inverse) - rigid_diagonal).reshape(-1, 3).mean(axis=1)
-        return Compliance(step_length, inverse, elastic, step_length**2 / self.mass.sum())
+        return Compliance(step_length, inverse.T, elastic, step_length**2 / self.mass.sum())
 
 
 def rest_stiffness(model: ObjectModel) -> scipy.sparse.csr_matrix:
