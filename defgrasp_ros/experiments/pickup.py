@@ -59,7 +59,7 @@ REST_TIME = 0.1
 """How long it must be so slow; a swing that turns round is slow for a moment only [s]."""
 LONG_STEP = 4
 """Time steps in one while all that still hangs moves slowly."""
-SLOW_MOTION = 3e-3
+SLOW_MOTION = 1e-2
 """Motion in a long step, relative to the object's size, that counts as slow [-]."""
 LOWERING_TIME_LIMIT = 10.0
 """Time within which the platform must have lost the object [s]."""
