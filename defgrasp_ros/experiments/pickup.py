@@ -46,6 +46,11 @@ STILL_CHANGE = 1e-5
 """Largest motion in a step, relative to the object's size, at the target force [-]."""
 SQUEEZE_TIME_LIMIT = 3.0
 """Time after the force ramp within which the target force must be reached [s]."""
+PLATFORM_YIELD = 0.02
+"""Speed with which the platform gives way where one finger presses the object onto it and the other is not there yet
+[m/s]."""
+PRESSING_SHARE = 0.3
+"""Share of the target force at which that finger counts as pressing [-]."""
 TOUCHING_SHARE = 1e-6
 """Normal force, relative to the target force, above which a finger touches [-]."""
 PLATFORM_ACCELERATION = 0.1
@@ -57,6 +62,10 @@ REST_DRIFT = 1e-4
 relative to its size [-]."""
 REST_TIME = 0.1
 """How long it must be so slow; a swing that turns round is slow for a moment only [s]."""
+REST_STEPS = 400
+"""Largest number of quasi-static steps in which a held object comes to rest."""
+REST_CHANGE = 1e-6
+"""Motion in such a step, relative to the object's size, at which it rests [-]."""
 LONG_STEP = 4
 """Time steps in one while all that still hangs moves slowly."""
 SLOW_MOTION = 1e-2
@@ -113,6 +122,7 @@ class _World:
     """Pose after settling."""
     target_force: float
     evaluation: GraspEvaluation
+    platform_height: float
     finished: bool = False
     opening_at_contact: float = np.nan
     holding_time: float = 0.0
@@ -150,7 +160,7 @@ class _Pickup:
         for index, grasp in grasps:
             target = default_force if grasp.target_force is None else grasp.target_force
             evaluation = GraspEvaluation(index, grasp.id or str(index), target_force=target)
-            self.worlds.append(_World(grasp, target, evaluation))
+            self.worlds.append(_World(grasp, target, evaluation, self.platform_height))
         self.running = np.arange(len(self.worlds))
 
     def run(self) -> list[GraspEvaluation]:
@@ -173,7 +183,8 @@ class _Pickup:
         if self._is_first_batch():
             self.simulator.place_platform(np.arange(self.simulator.world_count), self.platform_height)
             for _ in range(SETTLE_STEPS):
-                report = self._step(world, self.options.time_step, np.zeros(1), self.platform_height, quasi_static=True)
+                height = np.array([self.platform_height])
+                report = self._step(world, self.options.time_step, np.zeros(1), height, quasi_static=True)
                 if not report.converged.all():
                     break
                 last, shape = shape, self.simulator.positions(world)[0]
@@ -235,7 +246,7 @@ class _Pickup:
             share = min(1.0, elapsed / ramp)
             self._progress(Phase.SQUEEZE, 0.1 + 0.4 * share)
             target = np.array([self.worlds[w].target_force for w in waiting])
-            self._step(waiting, h, share * target, self.platform_height, quasi_static=True)
+            self._step(waiting, h, share * target, self._platform_heights(waiting), quasi_static=True)
             normal = self.simulator.normal_forces(waiting)
             openings = self.simulator.openings(waiting)
             last, positions = positions, self.simulator.positions(waiting)
@@ -243,7 +254,12 @@ class _Pickup:
             self._sample(Phase.SQUEEZE, waiting, share * target)
             pads = normal[:, :2]
             touching = (pads > TOUCHING_SHARE * target[:, None]).all(axis=1)
-            reached = (np.abs(pads.sum(axis=1) - target) < FORCE_TOLERANCE * target) & touching & (elapsed >= ramp)
+            loaded = (np.abs(pads.sum(axis=1) - target) < FORCE_TOLERANCE * target) & (elapsed >= ramp)
+            reached = loaded & touching
+            pressing = (pads.sum(axis=1) > PRESSING_SHARE * target) & (elapsed >= ramp)
+            pressed_down = pressing & ~touching & (normal[:, 2] > self.model.weight)
+            for w in waiting[pressed_down]:
+                self.worlds[w].platform_height -= PLATFORM_YIELD * h
             ready = reached & (motion < STILL_CHANGE * size)
             late = elapsed > ramp + SQUEEZE_TIME_LIMIT
             for row, w in enumerate(waiting):
@@ -266,37 +282,69 @@ class _Pickup:
     def _lower_and_hold(self) -> None:
         """Take the platform away and wait until each object has been held long enough, or is lost."""
         hold, size = self.options.pickup_hold_time, self.model.mesh.size
-        elapsed, speed, height = 0.0, 0.0, self.platform_height
+        elapsed, speed = 0.0, 0.0
+        held: list[int] = []
         h = self.options.time_step
         while len(self.running) and not self._canceled():
             elapsed += h
             speed = min(speed + PLATFORM_ACCELERATION * h, self.options.platform_speed)
-            height -= speed * h
+            for w in self.running:
+                self.worlds[w].platform_height -= speed * h
             target = np.array([self.worlds[w].target_force for w in self.running])
-            self._step(self.running, h, target, height, quasi_static=False)
+            self._step(self.running, h, target, self._platform_heights(self.running), quasi_static=False)
             self._drop_finished()
             if not len(self.running):
                 break
             normal = self.simulator.normal_forces(self.running)
             fastest = np.linalg.norm(self.simulator.velocities(self.running), axis=2).max(axis=1)
-            held = [self.worlds[w].holding_time for w in self.running]
-            phase = Phase.HOLD if max(held) > 0.0 else Phase.LOWER_PLATFORM
-            self._progress(phase, 0.5 + 0.5 * min(1.0, min(held) / max(hold, h)))
+            times = [self.worlds[w].holding_time for w in self.running]
+            phase = Phase.HOLD if max(times) > 0.0 else Phase.LOWER_PLATFORM
+            self._progress(phase, 0.5 + 0.45 * min(1.0, min(times) / max(hold, h)))
             self._sample(phase, self.running, np.array([self.worlds[w].target_force for w in self.running]))
-            for row, w in enumerate(self.running):
-                self._follow_hold(int(w), h, normal[row], fastest[row], elapsed)
+            succeeded = [
+                w
+                for row, w in enumerate(self.running)
+                if self._follow_hold(int(w), h, normal[row], fastest[row], elapsed)
+            ]
+            held += succeeded
+            self.running = np.setdiff1d(self.running, succeeded)
             long_step = LONG_STEP * self.options.time_step
             calm = (normal[:, 2] == 0.0).all() and fastest.max() * long_step < SLOW_MOTION * size
             h = long_step if calm else self.options.time_step
             self._drop_finished()
+        self._come_to_rest(np.array(held, dtype=int))
         for w in self.running:
             self._finish(
                 self.worlds[w], ResultCode.CANCELED, "the evaluation was canceled before this grasp was finished"
             )
         self._drop_finished()
 
-    def _follow_hold(self, w: int, h: float, normal: np.ndarray, fastest: float, elapsed: float) -> None:
-        """Decide after a step whether one grasp has held, lost or goes on."""
+    def _come_to_rest(self, held: np.ndarray) -> None:
+        """Stop the swing of objects that have been held long enough, and measure them in equilibrium."""
+        h = LONG_STEP * self.options.time_step
+        positions = self.simulator.positions(held)
+        for step in range(REST_STEPS):
+            if not len(held) or self._canceled():
+                break
+            target = np.array([self.worlds[w].target_force for w in held])
+            self._step(held, h, target, self._platform_heights(held), quasi_static=True)
+            last, positions = positions, self.simulator.positions(held)
+            motion = np.linalg.norm(positions - last, axis=2).max(axis=1)
+            touching = (self.simulator.normal_forces(held)[:, :2] > TOUCHING_SHARE * target[:, None]).all(axis=1)
+            resting = (motion < REST_CHANGE * self.model.mesh.size) | (step == REST_STEPS - 1)
+            for row, w in enumerate(held):
+                if not self.worlds[w].finished and not touching[row]:
+                    self._finish(
+                        self.worlds[w], ResultCode.DROPPED, "the object slipped out when its swing was stopped"
+                    )
+                elif not self.worlds[w].finished and resting[row]:
+                    self._measure_pickup(int(w))
+            keep = np.array([not self.worlds[w].finished for w in held])
+            held, positions = held[keep], positions[keep]
+        self.running = np.concatenate([self.running, held])
+
+    def _follow_hold(self, w: int, h: float, normal: np.ndarray, fastest: float, elapsed: float) -> bool:
+        """Decide after a step whether one grasp has lost or goes on; return whether it has held long enough."""
         world = self.worlds[w]
         remaining = self.options.pickup_hold_time - world.holding_time
         touching = (normal[:2] > TOUCHING_SHARE * world.target_force).all()
@@ -316,7 +364,8 @@ class _Pickup:
             self._finish(world, ResultCode.DROPPED, "the object went down with the platform")
         elif not on_platform and (remaining <= h or world.time_at_rest >= REST_TIME):
             world.evaluation.holding_time = self.options.pickup_hold_time
-            self._measure_pickup(w)
+            return True
+        return False
 
     # --- measurements -------------------------------------------------------------------------------------------
 
@@ -372,10 +421,10 @@ class _Pickup:
     # --- bookkeeping --------------------------------------------------------------------------------------------
 
     def _step(
-        self, worlds: np.ndarray, h: float, closing_force: np.ndarray, height: float, *, quasi_static: bool
+        self, worlds: np.ndarray, h: float, closing_force: np.ndarray, heights: np.ndarray, *, quasi_static: bool
     ) -> StepReport:
         """Advance some worlds; one that finds no solution is finished with the reason."""
-        report = self.simulator.step(worlds, h, closing_force, np.full(len(worlds), height), quasi_static=quasi_static)
+        report = self.simulator.step(worlds, h, closing_force, heights, quasi_static=quasi_static)
         self.time += h
         for row, w in enumerate(worlds):
             if w == self.settled_world:
@@ -395,6 +444,9 @@ class _Pickup:
                 text = f"no solution of the time step at {self.time:.3f} s: {residual}"
                 self._finish(world, ResultCode.SOLVER_DIVERGED, text)
         return report
+
+    def _platform_heights(self, worlds: np.ndarray) -> np.ndarray:
+        return np.array([self.worlds[w].platform_height for w in worlds])
 
     def _finish_empty(self, world: _World) -> None:
         if np.isnan(world.opening_at_contact):
