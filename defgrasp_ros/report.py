@@ -82,6 +82,7 @@ def evaluation_document(evaluation: GraspEvaluation) -> dict[str, Any]:
 def _finger_document(finger: FingerContact) -> dict[str, Any]:
     return {
         "name": finger.name,
+        "force": finger.forces.sum(axis=0),
         "normal_force": finger.normal_force,
         "tangential_force": finger.tangential_force,
         "centroid": finger.centroid,

@@ -57,8 +57,9 @@ def test_json_is_all_that_is_printed(block, grasps):
     assert missed["features"]["edge_distance"] is None and missed["contacts"] == []
     assert held["result"]["name"] == "OK" and held["metrics"]["pickup_success"] is True
     assert held["applied_force"] == pytest.approx(held["target_force"], rel=1e-3)
-    friction = [finger["tangential_force"] for finger in held["contacts"]]
-    assert sum(force[2] for force in friction) == pytest.approx(0.027 * 9.81, rel=1e-3)
+    for force in ("force", "tangential_force"):
+        upward = sum(finger[force][2] for finger in held["contacts"])
+        assert upward == pytest.approx(0.027 * 9.81, rel=1e-3)
     assert held["solver"]["converged"] is True and held["solver"]["residual"] < 1e-6
     assert weak["target_force"] == 0.3 and weak["metrics"]["pickup_success"] is False
 
