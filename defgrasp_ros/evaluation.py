@@ -79,7 +79,7 @@ class GraspFeatures:
     edge_distance: float = NAN
     """Distance from contact patch to the distal edge of the pad [m] (edge_dist)."""
     squeeze_distance: float = NAN
-    """How far the pads closed between first contact of both and the target force [m] (squeeze_dist)."""
+    """How far the gap between the pads closed from first contact to the target force [m] (squeeze_dist)."""
     gripper_separation: float = NAN
     """Gap between the pad faces at the target force [m] (gripper_sep)."""
     gravity_alignment: float = NAN
@@ -145,7 +145,7 @@ class SolverReport:
     """How well the time steps of one evaluation were solved."""
 
     converged: bool = True
-    """Whether every accepted step reached the tolerance."""
+    """Whether no step was given up."""
     steps: int = 0
     """Accepted time steps [-]."""
     iterations: int = 0
@@ -187,9 +187,9 @@ class GraspEvaluation:
     contacts: tuple[FingerContact, FingerContact] | None = None
     """Left and right finger at the end of the hold, or at the target force where the hold failed; None before that."""
     slip_distance: float = NAN
-    """How far the object moved against the hand after the platform had gone, until the end of the hold [m]."""
+    """How far the gripped nodes moved along the pads from the target force to the end of the hold, mean [m]."""
     holding_time: float = NAN
-    """How long both fingers kept contact after the platform had gone [s]."""
+    """How long both fingers kept contact after the platform had gone [s]; the hold time where all came to rest."""
     simulated_time: float = 0.0
     wall_time: float = 0.0
     """Time [s] until this grasp's evaluation ended; grasps of a batch share it."""

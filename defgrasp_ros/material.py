@@ -13,7 +13,7 @@ class Material:
     """Elasticity, density and friction of the object.
 
     Args:
-        youngs_modulus: Young's modulus E [Pa], > 0.
+        youngs_modulus: Young's modulus E [Pa], in (0, 1e10]: the solver is made for soft and plastic, not for steel.
         poissons_ratio: Poisson's ratio nu [-], in [0, 0.49]; linear tetrahedra lock close to 0.5.
         density: Mass density [kg/m^3], > 0.
         friction_coefficient: Coulomb friction mu [-] against pads and platform, > 0: the target force of a
@@ -31,7 +31,7 @@ class Material:
     def __post_init__(self) -> None:
         check = require_in_range
         error = InvalidMaterialError
-        check(error, "material.youngs_modulus", self.youngs_modulus, 0.0, 1e13, low_open=True, unit="Pa")
+        check(error, "material.youngs_modulus", self.youngs_modulus, 0.0, 1e10, low_open=True, unit="Pa")
         check(error, "material.poissons_ratio", self.poissons_ratio, 0.0, 0.49)
         check(error, "material.density", self.density, 0.0, 1e6, low_open=True, unit="kg/m^3")
         check(error, "material.friction_coefficient", self.friction_coefficient, 0.0, 10.0, low_open=True)

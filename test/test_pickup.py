@@ -130,7 +130,8 @@ def test_the_observer_sees_the_run(run):
     """Progress rises to 1, samples show both fingers, every evaluation is announced once."""
     model, evaluations, witness = run
     fractions = [progress.fraction for progress in witness.progress]
-    assert fractions[-1] == 1.0
+    assert 0.0 <= min(fractions) and fractions[-1] == max(fractions) == 1.0
+    assert len(set(fractions)) > 20
     assert sorted(e.grasp_index for e in witness.evaluations) == list(range(len(evaluations)))
     last = [sample for sample in witness.samples if sample.grasp_id == "held"][-1]
     assert last.phase is Phase.HOLD and last.platform_force == 0.0
@@ -149,6 +150,56 @@ def test_closing_along_gravity():
     assert evaluation.features.gravity_alignment == pytest.approx(0.0, abs=1e-3)
     upper, lower = sorted(evaluation.contacts, key=lambda finger: finger.centroid[2], reverse=True)
     assert lower.normal_force - upper.normal_force == pytest.approx(model.weight, rel=2e-3)
+
+
+def test_the_platform_gives_way_to_a_vertical_grasp_off_centre():
+    """Where the upper pad presses the object onto the platform, the lower one still gets its share."""
+    model = block(2e6, extents=(0.03, 0.03, 0.02))
+    sideways = Rotation.from_matrix(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])).as_quat()
+    low = grasp("low", position=(0.0, 0.0, -0.003), orientation=sideways)
+    (evaluation,) = evaluate_grasps(model, [low], load_gripper(), OPTIONS)
+    assert evaluation.code is ResultCode.OK
+    assert evaluation.applied_force == pytest.approx(evaluation.target_force, rel=1e-3)
+    middle = np.mean([finger.centroid[2] for finger in evaluation.contacts])
+    assert middle == pytest.approx(-0.003, abs=2e-4)
+
+
+def test_a_grasp_does_not_depend_on_its_neighbours():
+    """A turned grasp ends with the same numbers alone and beside one that slips out."""
+    model = block(2e4)
+    turned = grasp(
+        "turned", orientation=(Rotation.from_euler("z", 25, degrees=True) * Rotation.from_quat(FROM_ABOVE)).as_quat()
+    )
+    weak = grasp("weak", target_force=0.9 * model.weight / model.material.friction_coefficient)
+    (alone,) = evaluate_grasps(model, [turned], load_gripper(), OPTIONS)
+    beside, _ = evaluate_grasps(model, [turned, weak], load_gripper(), OPTIONS)
+    assert beside.code is alone.code is ResultCode.OK
+    assert beside.metrics.max_von_mises_stress == pytest.approx(alone.metrics.max_von_mises_stress, rel=1e-4)
+    assert beside.simulated_time == pytest.approx(alone.simulated_time)
+
+
+def test_squeeze_distance_hardly_depends_on_the_time_step():
+    """First contact is where the pads touch the settled shape: a quarter of the step changes next to nothing."""
+    model = block(2e4)
+    off_centre = grasp("off centre", position=(0.0, 0.002, 0.0))
+    coarse, fine = (
+        evaluate_grasps(model, [off_centre], load_gripper(), EvaluationOptions(pickup_hold_time=0.02, time_step=h))[0]
+        for h in (1 / 200, 1 / 800)
+    )
+    assert coarse.features.squeeze_distance == pytest.approx(fine.features.squeeze_distance, rel=0.01)
+
+
+def test_only_points_that_carry_force_count():
+    """A stiff block off centre touches few points; those that hold only rounding are not counted."""
+    model = block(2e9)
+    (evaluation,) = evaluate_grasps(
+        model,
+        [grasp("off centre", position=(0.0, 0.0037, 0.0))],
+        load_gripper(),
+        EvaluationOptions(pickup_hold_time=0.1),
+    )
+    forces = np.concatenate([finger.normal_forces for finger in evaluation.contacts])
+    assert forces.min() > 1e-6 * evaluation.target_force
 
 
 def test_batches_give_what_one_batch_gives(monkeypatch):

@@ -28,9 +28,9 @@ def grasp_features(
         grasp: Pose of the gripper.
         gripper: Its pads.
         fingers: What left and right finger feel; both touch.
-        centroid: Volume centroid of the deformed object [m], shape ``(3,)``.
+        centroid: Centre of mass of the deformed object [m], shape ``(3,)``.
         opening: Distance of each pad face from the grasp frame's origin [m].
-        opening_at_contact: The same when both fingers first touched [m].
+        opening_at_contact: The same where the pads just touch the object that is not squeezed yet [m].
         up: Unit vector against gravity, shape ``(3,)``. All vectors in the same frame as the grasp's pose.
     """
     axis = grasp.rotation[:, 1]

@@ -9,15 +9,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from defgrasp_ros.errors import EmptyGraspListError, ResultCode
 from defgrasp_ros.evaluation import (
     FINGER_NAMES,
-    DeformedState,
     EvaluationObserver,
     EvaluationOptions,
     GraspEvaluation,
@@ -25,21 +22,18 @@ from defgrasp_ros.evaluation import (
     Phase,
     Progress,
 )
+from defgrasp_ros.experiments.candidate import Candidate, spoken
 from defgrasp_ros.experiments.collision import colliding_finger
 from defgrasp_ros.experiments.features import grasp_features
-from defgrasp_ros.experiments.metrics import deformation, rigid_motion, von_mises_stress
+from defgrasp_ros.experiments.metrics import deformation
+from defgrasp_ros.experiments.settling import SettledObject, deformed_state, settle
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.object_model import ObjectModel
 from defgrasp_ros.simulation.simulator import Simulator
-from defgrasp_ros.simulation.stepper import StepReport
 
 MAX_BATCH = 64
 """Grasps simulated together; more run in further batches, which bounds the memory."""
-SETTLE_STEPS = 80
-"""Largest number of steps for the object to settle on the platform."""
-SETTLED_CHANGE = 1e-6
-"""Change of shape in a step, relative to the object's size, at which it counts as settled [-]."""
 FORCE_TOLERANCE = 1e-4
 """Largest deviation of the pads' normal forces from the target at which it counts as reached [-]."""
 STILL_CHANGE = 1e-5
@@ -51,8 +45,6 @@ PLATFORM_YIELD = 0.02
 [m/s]."""
 PRESSING_SHARE = 0.3
 """Share of the target force at which that finger counts as pressing [-]."""
-TOUCHING_SHARE = 1e-6
-"""Normal force, relative to the target force, above which a finger touches [-]."""
 PLATFORM_ACCELERATION = 0.1
 """With which the platform starts to sink [m/s^2]; gentle, so that the weight is handed over, not dropped."""
 LOSS_TIME = 0.02
@@ -98,53 +90,42 @@ def evaluate_grasps(
 
     Raises:
         EmptyGraspListError: If there is no grasp.
+        NotFoundError: If there is no such device.
         InvalidMeshError: If the mesh has no usable stiffness.
+        SolverDivergedError: If the object alone finds no rest on the platform.
     """
     if not grasps:
         raise EmptyGraspListError("grasps is empty: give at least one grasp")
     observer = observer or EvaluationObserver()
     batches = [range(first, min(first + MAX_BATCH, len(grasps))) for first in range(0, len(grasps), MAX_BATCH)]
     simulator = Simulator(object_model, gripper, len(batches[0]) + 1, device)
+    observer.on_progress(Progress(Phase.SETTLE, 0.0, 0.0, len(grasps), len(grasps)))
+    settled = settle(simulator, len(batches[0]), options.time_step)
     evaluations: list[GraspEvaluation] = []
-    start = 0.0
+    start = settled.duration
     for batch in batches:
-        experiment = _Pickup(simulator, [(i, grasps[i]) for i in batch], options, observer, len(grasps), start)
-        evaluations += experiment.run()
-        start = experiment.time
+        chosen = {index: grasps[index] for index in batch}
+        pickup = _Pickup(simulator, settled, chosen, options, observer, len(grasps), start)
+        evaluations += pickup.run()
+        start = pickup.time
     return evaluations
 
 
-@dataclass
-class _World:
-    """Bookkeeping of one grasp while it is simulated."""
-
-    grasp: Grasp
-    """Pose after settling."""
-    target_force: float
-    evaluation: GraspEvaluation
-    platform_height: float
-    finished: bool = False
-    opening_at_contact: float = np.nan
-    holding_time: float = 0.0
-    time_without_contact: float = 0.0
-    time_at_rest: float = 0.0
-    gripped_nodes: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
-    gripped_positions: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
-
-
 class _Pickup:
-    """One batch of grasps; world i belongs to grasp i, the last world keeps the settled object."""
+    """One batch of grasps: world i belongs to candidate i; the last world keeps the settled object."""
 
     def __init__(
         self,
         simulator: Simulator,
-        grasps: list[tuple[int, Grasp]],
+        settled: SettledObject,
+        grasps: dict[int, Grasp],
         options: EvaluationOptions,
         observer: EvaluationObserver,
         total: int,
         start_time: float,
     ):
         self.simulator = simulator
+        self.settled = settled
         self.model = simulator.model
         self.gripper = simulator.gripper
         self.options = options
@@ -152,88 +133,71 @@ class _Pickup:
         self.total = total
         self.started = time.monotonic()
         self.time = start_time
+        self.stopped = False
         self.next_sample = start_time
-        self.settled_world = simulator.world_count - 1
-        self.platform_height = float(self.model.mesh.vertices[:, 2].min())
         default_force = self.model.default_target_force(options.force_safety_factor)
-        self.worlds = []
-        for index, grasp in grasps:
+        self.candidates = []
+        for index, grasp in grasps.items():
             target = default_force if grasp.target_force is None else grasp.target_force
             evaluation = GraspEvaluation(index, grasp.id or str(index), target_force=target)
-            self.worlds.append(_World(grasp, target, evaluation, self.platform_height))
-        self.running = np.arange(len(self.worlds))
+            self.candidates.append(Candidate(settled.follow(grasp), target, evaluation, settled.platform_height))
+        self.running = np.arange(len(self.candidates))
 
     def run(self) -> list[GraspEvaluation]:
         """Go through the phases and return the evaluations."""
-        self._settle()
         self._close()
         self._squeeze()
-        self._lower_and_hold()
+        held = self._lower_and_hold()
+        self._come_to_rest(held)
+        for candidate in self.candidates:
+            if not candidate.finished:
+                self._finish(candidate, ResultCode.CANCELED, "canceled before this grasp was finished")
         self._progress(Phase.DONE, 1.0)
-        return [world.evaluation for world in self.worlds]
+        return [candidate.evaluation for candidate in self.candidates]
 
     # --- phases -------------------------------------------------------------------------------------------------
-
-    def _settle(self) -> None:
-        """Let the object sag on the platform; its state is that before contact with the gripper."""
-        self._progress(Phase.SETTLE, 0.0)
-        world = np.array([self.settled_world])
-        rest, weights = self.model.mesh.vertices, self.model.mesh.node_volumes
-        shape = rest
-        if self._is_first_batch():
-            self.simulator.place_platform(np.arange(self.simulator.world_count), self.platform_height)
-            for _ in range(SETTLE_STEPS):
-                height = np.array([self.platform_height])
-                report = self._step(world, self.options.time_step, np.zeros(1), height, quasi_static=True)
-                if not report.converged.all():
-                    break
-                last, shape = shape, self.simulator.positions(world)[0]
-                if deformation(last, shape, weights).max() < SETTLED_CHANGE * self.model.mesh.size:
-                    break
-        self.pre_contact = replace(self._deformed_states(world)[0], opening=np.nan)
-        self.settling_rotation, self.settling_translation = rigid_motion(rest, self.pre_contact.positions, weights)
-
-    def _is_first_batch(self) -> bool:
-        return bool(
-            np.array_equal(self.simulator.positions(np.array([self.settled_world]))[0], self.model.mesh.vertices)
-        )
 
     def _close(self) -> None:
         """Put the open gripper at each pose and move the pads to where the first of them touches."""
         self._progress(Phase.CLOSE, 0.05)
-        self.simulator.copy_world(self.settled_world, self.running)
-        for world in self.worlds:
-            orientation = Rotation.from_matrix(self.settling_rotation @ world.grasp.rotation).as_quat()
-            position = self.settling_rotation @ world.grasp.position + self.settling_translation
-            world.grasp = replace(world.grasp, position=position, orientation=orientation)
-            if self.options.return_fields:
-                world.evaluation.fields["pre_contact"] = self.pre_contact
-            if world.target_force > self.gripper.max_force:
-                limit = self.gripper.max_force
-                text = f"the target force {world.target_force:.4g} N is above the gripper's limit of {limit:g} N"
-                self._finish(world, ResultCode.FORCE_NOT_REACHED, text)
-                continue
-            finger = colliding_finger(
-                self.model.mesh, self.pre_contact.positions, world.grasp, self.gripper, self.gripper.max_opening
-            )
-            if finger:
-                width = 2e3 * self.gripper.max_opening
-                text = f"the {_spoken(finger)} of the open gripper ({width:.1f} mm) is inside the object at this pose"
-                self._finish(world, ResultCode.GRIPPER_COLLISION, text)
+        self.simulator.copy_world(self.simulator.world_count - 1, self.running)
+        self.simulator.place_platform(self.running, self.settled.platform_height)
+        for candidate in self.candidates:
+            self._check_reach(candidate)
         self._drop_finished()
         if not len(self.running):
             return
-        chosen = [self.worlds[w] for w in self.running]
+        chosen = [self.candidates[w] for w in self.running]
+        poses = [candidate.grasp for candidate in chosen]
         opening = np.full(len(chosen), self.gripper.max_opening)
-        forces = np.array([world.target_force for world in chosen])
-        self.simulator.place_gripper(self.running, [world.grasp for world in chosen], opening, forces)
+        forces = self._targets(self.running)
+        self.simulator.place_gripper(self.running, poses, opening, forces)
         gaps = self.simulator.pad_gaps(self.running)
-        for world, gap in zip(chosen, gaps, strict=True):
+        for candidate, gap in zip(chosen, gaps, strict=True):
+            candidate.opening_at_contact = self.gripper.max_opening - gap.mean() if np.isfinite(gap).all() else np.nan
             if not (gap < opening[0]).any():
-                self._finish(world, ResultCode.NO_CONTACT, "the object is not between the pads: they close on nothing")
+                self._finish(
+                    candidate, ResultCode.NO_CONTACT, "the object is not between the pads: they close on nothing"
+                )
         reached = np.clip(opening - gaps.min(axis=1), 0.0, None)
-        self.simulator.place_gripper(self.running, [world.grasp for world in chosen], reached, forces)
+        self.simulator.place_gripper(self.running, poses, reached, forces)
         self._drop_finished()
+
+    def _check_reach(self, candidate: Candidate) -> None:
+        """End a grasp that the gripper cannot do: too much force, or no room for the open fingers."""
+        gripper, positions = self.gripper, self.settled.state.positions
+        if self.options.return_fields:
+            candidate.evaluation.fields["pre_contact"] = self.settled.state
+        if candidate.target_force > gripper.max_force:
+            asked, limit = candidate.target_force, gripper.max_force
+            text = f"the target force {asked:.4g} N is above the gripper's limit of {limit:g} N"
+            self._finish(candidate, ResultCode.FORCE_NOT_REACHED, text)
+            return
+        finger = colliding_finger(self.model.mesh, positions, candidate.grasp, gripper, gripper.max_opening)
+        if finger:
+            width = 2e3 * gripper.max_opening
+            text = f"the {spoken(finger)} of the open gripper ({width:.1f} mm) is inside the object at this pose"
+            self._finish(candidate, ResultCode.GRIPPER_COLLISION, text)
 
     def _squeeze(self) -> None:
         """Raise the closing force to the target, wait until it is reached, measure the features."""
@@ -243,81 +207,82 @@ class _Pickup:
         waiting = self.running
         while len(waiting) and not self._canceled():
             elapsed += h
+            self.time += h
             share = min(1.0, elapsed / ramp)
             self._progress(Phase.SQUEEZE, 0.1 + 0.4 * share)
-            target = np.array([self.worlds[w].target_force for w in waiting])
-            self._step(waiting, h, share * target, self._platform_heights(waiting), quasi_static=True)
-            normal = self.simulator.normal_forces(waiting)
-            openings = self.simulator.openings(waiting)
+            target = self._targets(waiting)
+            self._step(waiting, h, share * target, quasi_static=True)
+            self._sample(waiting, share * target)
             last, positions = positions, self.simulator.positions(waiting)
-            motion = np.linalg.norm(positions - last, axis=2).max(axis=1)
-            self._sample(Phase.SQUEEZE, waiting, share * target)
-            pads = normal[:, :2]
-            touching = (pads > TOUCHING_SHARE * target[:, None]).all(axis=1)
-            loaded = (np.abs(pads.sum(axis=1) - target) < FORCE_TOLERANCE * target) & (elapsed >= ramp)
-            reached = loaded & touching
-            pressing = (pads.sum(axis=1) > PRESSING_SHARE * target) & (elapsed >= ramp)
-            pressed_down = pressing & ~touching & (normal[:, 2] > self.model.weight)
-            for w in waiting[pressed_down]:
-                self.worlds[w].platform_height -= PLATFORM_YIELD * h
-            ready = reached & (motion < STILL_CHANGE * size)
+            still = np.linalg.norm(positions - last, axis=2).max(axis=1) < STILL_CHANGE * size
             late = elapsed > ramp + SQUEEZE_TIME_LIMIT
+            normal, openings = self.simulator.normal_forces(waiting), self.simulator.openings(waiting)
+            goes_on = np.ones(len(waiting), dtype=bool)
             for row, w in enumerate(waiting):
-                world = self.worlds[w]
-                if np.isnan(world.opening_at_contact) and touching[row]:
-                    world.opening_at_contact = openings[row]
-                if world.finished:
-                    continue
-                if ready[row] or (late and reached[row]):
-                    self._measure_features(int(w))
-                elif openings[row] <= 0.0:
-                    self._finish_empty(world)
-                elif late:
-                    self._finish_short(world, pads[row], normal[row, 2])
-            done = ready | (late & reached)
-            keep = np.array([not done[row] and not self.worlds[w].finished for row, w in enumerate(waiting)])
-            waiting, positions = waiting[keep], positions[keep]
+                candidate, pads, platform = self.candidates[w], normal[row, :2], normal[row, 2]
+                touching = candidate.touching(pads).all()
+                candidate.was_gripped |= touching
+                if candidate.finished:
+                    goes_on[row] = False
+                elif elapsed >= ramp and touching and abs(pads.sum() - target[row]) < FORCE_TOLERANCE * target[row]:
+                    if still[row] or late:
+                        if not still[row]:
+                            candidate.remark = "; features were measured in motion"
+                        self._measure_features(int(w))
+                        goes_on[row] = False
+                elif late or openings[row] <= 0.0:
+                    self._finish(candidate, *candidate.squeeze_failure(pads, platform, openings[row]))
+                    goes_on[row] = False
+                elif elapsed >= ramp and not touching and pads.sum() > PRESSING_SHARE * target[row]:
+                    if platform > self.model.weight:
+                        candidate.platform_height -= PLATFORM_YIELD * h
+            waiting, positions = waiting[goes_on], positions[goes_on]
         self._drop_finished()
 
-    def _lower_and_hold(self) -> None:
-        """Take the platform away and wait until each object has been held long enough, or is lost."""
-        hold, size = self.options.pickup_hold_time, self.model.mesh.size
-        elapsed, speed = 0.0, 0.0
+    def _lower_and_hold(self) -> np.ndarray:
+        """Take the platform away and wait until each object is lost or has been held long enough; return those."""
+        h, size = self.options.time_step, self.model.mesh.size
+        speed, tick = 0.0, 0
+        calm = np.zeros(len(self.candidates), dtype=bool)
         held: list[int] = []
-        h = self.options.time_step
         while len(self.running) and not self._canceled():
-            elapsed += h
             speed = min(speed + PLATFORM_ACCELERATION * h, self.options.platform_speed)
-            for w in self.running:
-                self.worlds[w].platform_height -= speed * h
-            target = np.array([self.worlds[w].target_force for w in self.running])
-            self._step(self.running, h, target, self._platform_heights(self.running), quasi_static=False)
-            self._drop_finished()
-            if not len(self.running):
-                break
-            normal = self.simulator.normal_forces(self.running)
-            fastest = np.linalg.norm(self.simulator.velocities(self.running), axis=2).max(axis=1)
-            times = [self.worlds[w].holding_time for w in self.running]
+            # Calm worlds take one long step when the others take the first of LONG_STEP short ones.
+            groups = [(self.running[~calm[self.running]], h)]
+            if tick % LONG_STEP == 0:
+                groups.append((self.running[calm[self.running]], LONG_STEP * h))
+            for worlds, step_length in groups:
+                if len(worlds):
+                    held += self._hold_step(worlds, step_length, speed, (tick + 1) * h)
+            tick += 1
+            self.time += h
+            times = [self.candidates[w].holding_time for w in self.running]
             phase = Phase.HOLD if max(times) > 0.0 else Phase.LOWER_PLATFORM
-            self._progress(phase, 0.5 + 0.45 * min(1.0, min(times) / max(hold, h)))
-            self._sample(phase, self.running, np.array([self.worlds[w].target_force for w in self.running]))
-            succeeded = [
-                w
-                for row, w in enumerate(self.running)
-                if self._follow_hold(int(w), h, normal[row], fastest[row], elapsed)
-            ]
-            held += succeeded
-            self.running = np.setdiff1d(self.running, succeeded)
-            long_step = LONG_STEP * self.options.time_step
-            calm = (normal[:, 2] == 0.0).all() and fastest.max() * long_step < SLOW_MOTION * size
-            h = long_step if calm else self.options.time_step
+            self._progress(phase, 0.5 + 0.45 * min(1.0, min(times) / max(self.options.pickup_hold_time, h)))
+            self._sample(self.running, self._targets(self.running))
+            self.running = np.setdiff1d(self.running, held)
             self._drop_finished()
-        self._come_to_rest(np.array(held, dtype=int))
-        for w in self.running:
-            self._finish(
-                self.worlds[w], ResultCode.CANCELED, "the evaluation was canceled before this grasp was finished"
-            )
-        self._drop_finished()
+            if tick % LONG_STEP == 0 and len(self.running):
+                motion = LONG_STEP * h * self._fastest(self.running)
+                lifted = np.array([self.candidates[w].holding_time > 0.0 for w in self.running])
+                calm[self.running] = lifted & (motion < SLOW_MOTION * size)
+        return np.array(held, dtype=int)
+
+    def _hold_step(self, worlds: np.ndarray, h: float, speed: float, elapsed: float) -> list[int]:
+        """Advance some hanging worlds with the platform sinking; return those that have been held long enough."""
+        for w in worlds:
+            self.candidates[w].platform_height -= speed * h
+        self._step(worlds, h, self._targets(worlds), quasi_static=False)
+        normal, fastest = self.simulator.normal_forces(worlds), self._fastest(worlds)
+        return [
+            w
+            for row, w in enumerate(worlds)
+            if not self.candidates[w].finished and self._follow_hold(int(w), h, normal[row], fastest[row], elapsed)
+        ]
+
+    def _fastest(self, worlds: np.ndarray) -> np.ndarray:
+        """Largest nodal speed [m/s], shape ``(n,)``."""
+        return np.linalg.norm(self.simulator.velocities(worlds), axis=2).max(axis=1)
 
     def _come_to_rest(self, held: np.ndarray) -> None:
         """Stop the swing of objects that have been held long enough, and measure them in equilibrium."""
@@ -326,179 +291,144 @@ class _Pickup:
         for step in range(REST_STEPS):
             if not len(held) or self._canceled():
                 break
-            target = np.array([self.worlds[w].target_force for w in held])
-            self._step(held, h, target, self._platform_heights(held), quasi_static=True)
+            self.time += h
+            self._step(held, h, self._targets(held), quasi_static=True)
             last, positions = positions, self.simulator.positions(held)
-            motion = np.linalg.norm(positions - last, axis=2).max(axis=1)
-            touching = (self.simulator.normal_forces(held)[:, :2] > TOUCHING_SHARE * target[:, None]).all(axis=1)
-            resting = (motion < REST_CHANGE * self.model.mesh.size) | (step == REST_STEPS - 1)
+            resting = np.linalg.norm(positions - last, axis=2).max(axis=1) < REST_CHANGE * self.model.mesh.size
+            normal = self.simulator.normal_forces(held)
             for row, w in enumerate(held):
-                if not self.worlds[w].finished and not touching[row]:
-                    self._finish(
-                        self.worlds[w], ResultCode.DROPPED, "the object slipped out when its swing was stopped"
-                    )
-                elif not self.worlds[w].finished and resting[row]:
-                    self._measure_pickup(int(w))
-            keep = np.array([not self.worlds[w].finished for w in held])
-            held, positions = held[keep], positions[keep]
-        self.running = np.concatenate([self.running, held])
+                candidate = self.candidates[w]
+                if candidate.finished:
+                    continue
+                if not candidate.touching(normal[row, :2]).all():
+                    text = "the object slipped out when its swing was stopped"
+                    self._finish(candidate, ResultCode.DROPPED, text)
+                elif resting[row]:
+                    self._measure_pickup(int(w), "picked up and held" + candidate.remark)
+                elif step == REST_STEPS - 1:
+                    self._measure_pickup(int(w), "picked up and held; metrics were measured in motion")
+            goes_on = np.array([not self.candidates[w].finished for w in held])
+            held, positions = held[goes_on], positions[goes_on]
 
     def _follow_hold(self, w: int, h: float, normal: np.ndarray, fastest: float, elapsed: float) -> bool:
         """Decide after a step whether one grasp has lost or goes on; return whether it has held long enough."""
-        world = self.worlds[w]
-        remaining = self.options.pickup_hold_time - world.holding_time
-        touching = (normal[:2] > TOUCHING_SHARE * world.target_force).all()
-        on_platform = normal[2] > 0.0
-        world.time_without_contact = 0.0 if touching else world.time_without_contact + h
-        world.holding_time = 0.0 if on_platform else world.holding_time + h
-        still = not on_platform and fastest * remaining < REST_DRIFT * self.model.mesh.size
-        world.time_at_rest = world.time_at_rest + h if still else 0.0
-        if world.time_without_contact >= LOSS_TIME:
-            world.evaluation.holding_time = max(0.0, world.holding_time - LOSS_TIME)
+        candidate = self.candidates[w]
+        remaining = self.options.pickup_hold_time - candidate.holding_time
+        touching = candidate.touching(normal[:2]).all()
+        on_platform = candidate.touching(normal[2])
+        candidate.time_without_contact = 0.0 if touching else candidate.time_without_contact + h
+        candidate.holding_time = 0.0 if on_platform else candidate.holding_time + h
+        candidate.phase = Phase.LOWER_PLATFORM if on_platform else Phase.HOLD
+        still = touching and not on_platform and fastest * remaining < REST_DRIFT * self.model.mesh.size
+        candidate.time_at_rest = candidate.time_at_rest + h if still else 0.0
+        if candidate.time_without_contact >= LOSS_TIME:
+            candidate.evaluation.holding_time = max(0.0, candidate.holding_time - LOSS_TIME)
             side = FINGER_NAMES[int(np.argmin(normal[:2]))] if normal[:2].max() > 0.0 else "both fingers"
-            held = world.evaluation.holding_time
+            held = candidate.evaluation.holding_time
             when = f"{held:.2f} s after lift-off" if held > 0.0 else "while the platform went down"
-            text = f"the object slipped out: {_spoken(side)} lost contact {when}"
-            self._finish(world, ResultCode.DROPPED, text)
+            text = f"the object slipped out: {spoken(side)} lost contact {when}"
+            self._finish(candidate, ResultCode.DROPPED, text)
         elif on_platform and elapsed > LOWERING_TIME_LIMIT:
-            self._finish(world, ResultCode.DROPPED, "the object went down with the platform")
-        elif not on_platform and (remaining <= h or world.time_at_rest >= REST_TIME):
-            world.evaluation.holding_time = self.options.pickup_hold_time
+            self._finish(candidate, ResultCode.DROPPED, "the object went down with the platform")
+        elif touching and not on_platform and (remaining <= h or candidate.time_at_rest >= REST_TIME):
+            candidate.evaluation.holding_time = self.options.pickup_hold_time
             return True
         return False
 
     # --- measurements -------------------------------------------------------------------------------------------
 
     def _measure_features(self, w: int) -> None:
-        world, here = self.worlds[w], np.array([w])
+        candidate, here = self.candidates[w], np.array([w])
         forces = self.simulator.contact_forces(here)[0]
         fingers = forces.fingers()
-        state = self._deformed_states(here)[0]
-        world.evaluation.contacts = fingers
-        world.evaluation.applied_force = sum(finger.normal_force for finger in fingers)
-        world.evaluation.features = grasp_features(
-            world.grasp,
+        state = deformed_state(self.simulator, w)
+        candidate.evaluation.contacts = fingers
+        candidate.evaluation.applied_force = sum(finger.normal_force for finger in fingers)
+        candidate.evaluation.features = grasp_features(
+            candidate.grasp,
             self.gripper,
             fingers,
-            volume_centroid(self.model, state.positions),
+            centre_of_mass(self.model, state.positions),
             state.opening,
-            world.opening_at_contact,
+            candidate.opening_at_contact,
             UP,
         )
         if self.options.return_fields:
-            world.evaluation.fields["at_target_force"] = state
+            candidate.evaluation.fields["at_target_force"] = state
         pads = forces.body < len(FINGER_NAMES)
-        world.gripped_nodes = np.unique(forces.nodes[pads][forces.weights[pads] > 0.0])
-        world.gripped_positions = state.positions[world.gripped_nodes]
+        candidate.gripped_nodes = np.unique(forces.nodes[pads][forces.weights[pads] > 0.0])
+        candidate.gripped_positions = state.positions[candidate.gripped_nodes]
 
-    def _measure_pickup(self, w: int) -> None:
-        world, here = self.worlds[w], np.array([w])
-        metrics = world.evaluation.metrics
-        state = self._deformed_states(here)[0]
+    def _measure_pickup(self, w: int, message: str) -> None:
+        candidate, here = self.candidates[w], np.array([w])
+        metrics = candidate.evaluation.metrics
+        state = deformed_state(self.simulator, w)
         _, energy = self.simulator.stresses(here)
         metrics.pickup_success = True
         metrics.max_von_mises_stress = float(state.von_mises_stress.max())
         metrics.max_deformation = float(
-            deformation(self.pre_contact.positions, state.positions, self.model.mesh.node_volumes).max()
+            deformation(self.settled.state.positions, state.positions, self.model.mesh.node_volumes).max()
         )
         metrics.strain_energy = float(energy[0].sum())
-        axis = world.grasp.rotation[:, 1]
-        shift = (state.positions[world.gripped_nodes] - world.gripped_positions).mean(axis=0)
-        world.evaluation.slip_distance = float(np.linalg.norm(shift - axis * (axis @ shift)))
-        world.evaluation.contacts = self.simulator.contact_forces(here)[0].fingers()
+        axis = candidate.grasp.rotation[:, 1]
+        shift = (state.positions[candidate.gripped_nodes] - candidate.gripped_positions).mean(axis=0)
+        candidate.evaluation.slip_distance = float(np.linalg.norm(shift - axis * (axis @ shift)))
+        candidate.evaluation.contacts = self.simulator.contact_forces(here)[0].fingers()
         if self.options.return_fields:
-            world.evaluation.fields["post_pickup"] = state
-        self._finish(world, ResultCode.OK, "picked up and held")
-
-    def _deformed_states(self, worlds: np.ndarray) -> list[DeformedState]:
-        stress, _ = self.simulator.stresses(worlds)
-        openings = self.simulator.openings(worlds)
-        return [
-            DeformedState(positions.copy(), von_mises_stress(tensors), float(opening))
-            for positions, tensors, opening in zip(self.simulator.positions(worlds), stress, openings, strict=True)
-        ]
+            candidate.evaluation.fields["post_pickup"] = state
+        self._finish(candidate, ResultCode.OK, message)
 
     # --- bookkeeping --------------------------------------------------------------------------------------------
 
-    def _step(
-        self, worlds: np.ndarray, h: float, closing_force: np.ndarray, heights: np.ndarray, *, quasi_static: bool
-    ) -> StepReport:
+    def _step(self, worlds: np.ndarray, h: float, closing_force: np.ndarray, *, quasi_static: bool) -> None:
         """Advance some worlds; one that finds no solution is finished with the reason."""
+        heights = np.array([self.candidates[w].platform_height for w in worlds])
         report = self.simulator.step(worlds, h, closing_force, heights, quasi_static=quasi_static)
-        self.time += h
         for row, w in enumerate(worlds):
-            if w == self.settled_world:
-                continue
-            world = self.worlds[w]
-            solver = world.evaluation.solver
-            solver.iterations += int(report.iterations[row])
-            solver.step_cuts += int(report.cuts[row])
-            solver.contact_fallbacks += int(report.contact_fallbacks[row])
-            if report.converged[row]:
-                solver.steps += 1
-                solver.residual = max(solver.residual, float(report.residual[row]))
-            else:
-                solver.converged = False
-                solver.residual = float(report.residual[row])
+            self.candidates[w].count_step(report, row, h)
+            if not report.converged[row]:
                 residual = f"residual {report.residual[row]:.2g} of the force scale"
                 text = f"no solution of the time step at {self.time:.3f} s: {residual}"
-                self._finish(world, ResultCode.SOLVER_DIVERGED, text)
-        return report
+                self._finish(self.candidates[w], ResultCode.SOLVER_DIVERGED, text)
 
-    def _platform_heights(self, worlds: np.ndarray) -> np.ndarray:
-        return np.array([self.worlds[w].platform_height for w in worlds])
+    def _targets(self, worlds: np.ndarray) -> np.ndarray:
+        """Target forces [N], shape ``(n,)``."""
+        return np.array([self.candidates[w].target_force for w in worlds])
 
-    def _finish_empty(self, world: _World) -> None:
-        if np.isnan(world.opening_at_contact):
-            self._finish(world, ResultCode.NO_CONTACT, "the pads met without both having touched the object")
-        else:
-            self._finish(world, ResultCode.FORCE_NOT_REACHED, "the object was squeezed out from between the pads")
-
-    def _finish_short(self, world: _World, pads: np.ndarray, platform: float) -> None:
-        touched = [
-            name for name, force in zip(FINGER_NAMES, pads, strict=True) if force > TOUCHING_SHARE * world.target_force
-        ]
-        if len(touched) == 2:
-            text = f"the pads reached {pads.sum():.4g} N of the {world.target_force:.4g} N asked for"
-            self._finish(world, ResultCode.FORCE_NOT_REACHED, text)
-        else:
-            only = f"only the {_spoken(touched[0])} touches" if touched else "no finger touches"
-            text = f"{only}: the object does not move up to the other one (platform force {platform:.3g} N)"
-            self._finish(world, ResultCode.NO_CONTACT, text)
-
-    def _finish(self, world: _World, code: ResultCode, message: str) -> None:
-        evaluation = world.evaluation
-        evaluation.code, evaluation.message = code, message
-        evaluation.simulated_time = self.time
-        evaluation.wall_time = time.monotonic() - self.started
-        world.finished = True
-        self.observer.on_evaluation(evaluation)
+    def _finish(self, candidate: Candidate, code: ResultCode, message: str) -> None:
+        candidate.end(code, message)
+        candidate.evaluation.simulated_time = self.settled.duration + candidate.time
+        candidate.evaluation.wall_time = time.monotonic() - self.started
+        self.observer.on_evaluation(candidate.evaluation)
 
     def _drop_finished(self) -> None:
-        self.running = np.array([w for w in self.running if not self.worlds[w].finished], dtype=int)
+        self.running = np.array([w for w in self.running if not self.candidates[w].finished], dtype=int)
 
     def _canceled(self) -> bool:
-        return self.observer.should_stop()
+        self.stopped = self.stopped or self.observer.should_stop()
+        return self.stopped
 
     def _progress(self, phase: Phase, fraction: float) -> None:
-        done = self.worlds[0].evaluation.grasp_index
-        overall = (done + fraction * len(self.worlds)) / self.total
+        done = self.candidates[0].evaluation.grasp_index
+        overall = (done + fraction * len(self.candidates)) / self.total
         self.observer.on_progress(Progress(phase, overall, self.time, len(self.running), self.total))
 
-    def _sample(self, phase: Phase, worlds: np.ndarray, closing_force: np.ndarray) -> None:
-        """Show the observer the state of the worlds, once per sample interval."""
+    def _sample(self, worlds: np.ndarray, closing_force: np.ndarray) -> None:
+        """Show the observer the state of the worlds that go on, once per sample interval."""
         if self.time < self.next_sample:
             return
         self.next_sample = self.time + self.observer.sample_interval
         openings = self.simulator.openings(worlds)
         velocities = self.simulator.opening_velocities(worlds)
         for row, (w, forces) in enumerate(zip(worlds, self.simulator.contact_forces(worlds), strict=True)):
-            evaluation = self.worlds[w].evaluation
+            candidate, evaluation = self.candidates[w], self.candidates[w].evaluation
+            if candidate.finished:
+                continue
             self.observer.on_sample(
                 GraspSample(
                     evaluation.grasp_index,
                     evaluation.grasp_id,
-                    phase,
+                    candidate.phase,
                     self.time,
                     float(openings[row]),
                     float(velocities[row]),
@@ -509,10 +439,6 @@ class _Pickup:
             )
 
 
-def volume_centroid(model: ObjectModel, positions: np.ndarray) -> np.ndarray:
-    """Return the mass centroid of the deformed object [m], shape ``(3,)``; mass stays with its node."""
+def centre_of_mass(model: ObjectModel, positions: np.ndarray) -> np.ndarray:
+    """Return the centre of mass of the deformed object [m], shape ``(3,)``; mass stays with its node."""
     return model.mesh.node_volumes @ positions / model.mesh.volume
-
-
-def _spoken(finger: str) -> str:
-    return finger.replace("_", " ")

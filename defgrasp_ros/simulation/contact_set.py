@@ -7,6 +7,7 @@ import warp as wp
 
 from defgrasp_ros.simulation import kernels_contact as contact
 from defgrasp_ros.simulation import kernels_coulomb as coulomb
+from defgrasp_ros.simulation import kernels_detection as detection
 from defgrasp_ros.simulation.coulomb import ContactProblem, CoulombSolver
 from defgrasp_ros.simulation.dense import DeviceAlgebra, HostAlgebra
 from defgrasp_ros.simulation.device_model import DeviceModel
@@ -57,12 +58,8 @@ class ContactSet:
 
     def _allocate(self, capacity: int) -> None:
         worlds, device = self._world_count, self._device
-        old = getattr(self, "lists", None)
         self.capacity = capacity
-        self.lists, self._found, self._merged = (self._contact_list(capacity) for _ in range(3))
-        if old is not None:
-            every = wp.array(np.arange(worlds), dtype=int, device=device)
-            self._launch(contact.copy_contacts, worlds, [every, old, self.lists])
+        self.lists, self._remembered, self._found, self._merged = (self._contact_list(capacity) for _ in range(4))
         self._gap = wp.zeros((worlds, capacity), dtype=wp.float64, device=device)
         self._force = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
         self._motion = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
@@ -73,6 +70,14 @@ class ContactSet:
         self._solver = CoulombSolver(worlds, capacity, device, self._algebra)
         self.stale.fill_(1)
 
+    def _grow(self, count: int) -> None:
+        """Make room for ``count`` points per world, keeping the lists."""
+        kept = self.lists, self._remembered
+        self._allocate(INITIAL_CAPACITY * -(-count // INITIAL_CAPACITY))
+        every = wp.array(np.arange(self._world_count), dtype=int, device=self._device)
+        for source, target in zip(kept, (self.lists, self._remembered), strict=True):
+            self._launch(contact.copy_contacts, self._world_count, [every, source, target])
+
     def _contact_list(self, capacity: int) -> contact.ContactList:
         shape, result = (self._world_count, capacity), contact.ContactList()
         result.count = wp.zeros(self._world_count, dtype=int, device=self._device)
@@ -82,6 +87,15 @@ class ContactSet:
         result.weights = wp.zeros(shape, dtype=vec3d, device=self._device)
         result.force = wp.zeros(shape, dtype=vec3d, device=self._device)
         return result
+
+    def remember(self, rows: wp.array) -> None:
+        """Keep the lists of some worlds, to go back to them."""
+        self._launch(contact.copy_contacts, rows.shape[0], [rows, self.lists, self._remembered])
+
+    def go_back(self, rows: wp.array) -> None:
+        """Take the lists that were last remembered."""
+        self._launch(contact.copy_contacts, rows.shape[0], [rows, self._remembered, self.lists])
+        set_entries(self.stale, rows.numpy(), 1)
 
     # --- finding points -----------------------------------------------------------------------------------------
 
@@ -100,7 +114,7 @@ class ContactSet:
             room = (self.lists.count.numpy()[worlds] + self._found.count.numpy()[worlds]).max(initial=0)
             if room <= self.capacity:
                 break
-            self._allocate(_rounded(room))
+            self._grow(room)
         unchanged = wp.zeros_like(self.stale)
         inputs = [rows, self.lists, self._gap, self._penetration]
         self._launch(contact.carry_forces, len(worlds), inputs, [self._found, unchanged, self._missing])
@@ -122,7 +136,7 @@ class ContactSet:
             largest = int(self._found.count.numpy()[rows.numpy()].max(initial=0))
             if largest <= self.capacity:
                 return
-            self._allocate(_rounded(largest))
+            self._grow(largest)
 
     def pad_gaps(self, rows: wp.array, reach: float) -> np.ndarray:
         """Return the distance of each pad face from the surface in front of it [m], shape ``(row, 2)``.
@@ -142,7 +156,9 @@ class ContactSet:
     def _surface_normals(self, rows: wp.array, displacement: wp.array) -> None:
         model = self._model
         dim = (rows.shape[0], model.surface.nodes.shape[0])
-        self._launch(contact.surface_normals, dim, [model.surface, model.vertices, rows, displacement], [self._normal])
+        self._launch(
+            detection.surface_normals, dim, [model.surface, model.vertices, rows, displacement], [self._normal]
+        )
 
     def _find(
         self, rows: wp.array, displacement: wp.array, margin: float, found: contact.ContactList, gap: wp.array
@@ -158,7 +174,7 @@ class ContactSet:
             displacement,
             self._normal,
         ]
-        self._launch(contact.find_contacts, rows.shape[0], inputs, [found, gap])
+        self._launch(detection.find_contacts, rows.shape[0], inputs, [found, gap])
 
     # --- compliance ---------------------------------------------------------------------------------------------
 
@@ -265,11 +281,6 @@ class ContactSet:
 
     def _launch(self, kernel, dim, inputs: list, outputs: list | None = None) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self._device)
-
-
-def _rounded(count: int) -> int:
-    """The next capacity that holds ``count`` points."""
-    return INITIAL_CAPACITY * -(-count // INITIAL_CAPACITY)
 
 
 @wp.kernel

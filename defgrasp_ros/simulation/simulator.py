@@ -21,7 +21,7 @@ from defgrasp_ros.simulation.dense import algebra_for
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.rest_system import RestSystem
 from defgrasp_ros.simulation.shared_compliance import ComplianceCache
-from defgrasp_ros.simulation.stepper import Stepper, StepReport
+from defgrasp_ros.simulation.stepper import TOLERANCE, Stepper, StepReport
 from defgrasp_ros.simulation.types import mat33d, mat43d
 from defgrasp_ros.simulation.world_state import WorldState, set_entries
 
@@ -236,14 +236,14 @@ class Simulator:
         return self._contacts.normal_forces(worlds)
 
     def contact_forces(self, worlds: np.ndarray) -> list[ContactForces]:
-        """The contact points that carry force, per world."""
+        """The contact points that carry more force than the solver's tolerance, per world."""
         lists = self._contacts.lists
         count, body = lists.count.numpy(), lists.body.numpy()
         nodes, weights, force = lists.nodes.numpy(), lists.weights.numpy(), lists.force.numpy()
         frames = self._state.bodies.frame.numpy()
         result = []
         for w, positions in zip(worlds, self.positions(worlds), strict=True):
-            loaded = np.flatnonzero(force[w, : count[w], 0] > 0.0)
+            loaded = np.flatnonzero(force[w, : count[w], 0] > TOLERANCE * self._force_scale[w])
             frame = frames[w][body[w, loaded]]
             result.append(
                 ContactForces(

@@ -45,7 +45,7 @@ MAX_ITERATIONS = 40
 RESTART_GROWTH = 2.0
 """Growth of the residual in an iteration at which the acceleration starts anew [-]."""
 MAX_SEARCHES = 5
-"""How often a solved step looks for contacts that it overlooked."""
+"""How often a solved step may find contacts that it overlooked before it counts as failed."""
 
 
 @dataclass
@@ -97,6 +97,7 @@ class Stepper:
         self._element_rotation = zeros(model.tet_count, mat33d)
         self._element_force = zeros(model.tet_count, mat43d)
         self._node_rotation = zeros(model.node_count, mat33d)
+        self._start_rotation = zeros(model.node_count, mat33d)
         self._residual, self._correction, self._turned, self._product = (
             zeros(model.node_count, vec3d) for _ in range(4)
         )
@@ -120,6 +121,8 @@ class Stepper:
         report = StepReport.empty(count)
         contacts.expect_step(worlds, h)
         rows = self._rows(worlds)
+        contacts.remember(rows)
+        wp.copy(self._start_rotation, state.rotation)
         inputs = [rows, h, state.start_displacement, state.start_velocity, state.displacement]
         self._launch(elastic.predict, (count, self._model.node_count), inputs)
         self._move_fingers(rows, h)
@@ -134,17 +137,18 @@ class Stepper:
             rows = self._rows(worlds[active])
             residual = self._evaluate_residual(rows, shared) / force_scale[active]
             report.residual[active] = residual
+            goes_on = np.isfinite(residual)
             solved = residual < TOLERANCE
             if solved.any():
-                again = self._overlooked_contacts(worlds, active, solved, searches)
-                solved &= ~again
-                report.converged[active[solved]] = True
-                active = active[~solved]
-                if len(active):
-                    rows = self._rows(worlds[active])
-                    self._evaluate_residual(rows, shared)
-            if iteration == MAX_ITERATIONS or not len(active) or not np.isfinite(report.residual[active]).all():
+                incomplete = self._overlooked_contacts(worlds, active, solved, searches)
+                report.converged[active[solved & ~incomplete]] = True
+                goes_on &= ~solved | (incomplete & (searches[active] <= MAX_SEARCHES))
+            active = active[goes_on]
+            if iteration == MAX_ITERATIONS or not len(active):
                 break
+            if solved.any() or not goes_on.all():
+                rows = self._rows(worlds[active])
+                self._evaluate_residual(rows, shared)
             self._forget(worlds[active[report.residual[active] > RESTART_GROWTH * last_residual[active]]])
             last_residual[active] = report.residual[active]
             report.iterations[active] += 1
@@ -152,6 +156,7 @@ class Stepper:
             report.contact_fallbacks[active] += self._correct(rows, shared, force_scale[active] * reduction)
 
         self._accept(worlds[report.converged], h, quasi_static)
+        self._go_back(worlds[~report.converged])
         return report
 
     def _overlooked_contacts(
@@ -159,7 +164,6 @@ class Stepper:
     ) -> np.ndarray:
         """List the points that a solved world has inside a body without knowing; return where there are any."""
         candidates = np.flatnonzero(solved)
-        candidates = candidates[searches[active[candidates]] < MAX_SEARCHES]
         incomplete = self._contacts.complete(self._rows(worlds[active[candidates]]))
         again = np.zeros(len(active), dtype=bool)
         again[candidates[incomplete]] = True
@@ -245,6 +249,15 @@ class Stepper:
         nodes = (len(worlds), self._model.node_count)
         self._launch(elastic.accept_step, nodes, [*inputs, state.start_displacement, state.start_velocity])
         set_entries(state.start_opening, worlds, state.bodies.opening.numpy()[worlds])
+
+    def _go_back(self, worlds: np.ndarray) -> None:
+        """Leave no trace of a step that failed."""
+        if not len(worlds):
+            return
+        state = self._state
+        self._contacts.go_back(self._rows(worlds))
+        set_entries(state.rotation, worlds, self._start_rotation.numpy()[worlds])
+        set_entries(state.bodies.opening, worlds, state.start_opening.numpy()[worlds])
 
     def _rows(self, worlds: np.ndarray) -> wp.array:
         return wp.array(worlds, dtype=int, device=self._device)

@@ -1,0 +1,96 @@
+"""One grasp on its way through the experiment: what was asked, what is known, and how it ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from defgrasp_ros.errors import ResultCode
+from defgrasp_ros.evaluation import FINGER_NAMES, NAN, GraspEvaluation, Phase
+from defgrasp_ros.grasp import Grasp
+from defgrasp_ros.simulation.stepper import StepReport
+
+TOUCHING_SHARE = 1e-4
+"""Normal force, relative to the target force, above which a body touches [-]; far above the solver's residual."""
+
+
+@dataclass
+class Candidate:
+    """A grasp, its evaluation so far, and what the phases have to remember of it."""
+
+    grasp: Grasp
+    """Pose on the settled object."""
+    target_force: float
+    """SUM of the two pad normal forces asked for [N]."""
+    evaluation: GraspEvaluation
+    platform_height: float
+    """Surface of its platform [m]."""
+    phase: Phase = Phase.SQUEEZE
+    finished: bool = False
+    remark: str = ""
+    """Added to the message of a grasp that holds."""
+    time: float = 0.0
+    """Simulated since it was on the settled object [s]."""
+    opening_at_contact: float = NAN
+    """Opening at which pads that close one by one just touch the settled object, mean of both [m]."""
+    was_gripped: bool = False
+    """Whether both fingers have touched."""
+    holding_time: float = 0.0
+    """Since the platform let go [s]."""
+    time_without_contact: float = 0.0
+    """Since a finger lost the object [s]."""
+    time_at_rest: float = 0.0
+    """Since everything became slow [s]."""
+    gripped_nodes: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
+    """Nodes under the pads at the target force."""
+    gripped_positions: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
+    """Where they were then [m]."""
+
+    def end(self, code: ResultCode, message: str) -> None:
+        """Set how the evaluation ended."""
+        self.evaluation.code, self.evaluation.message = code, message
+        self.finished = True
+
+    def touching(self, normal_forces: np.ndarray) -> np.ndarray:
+        """Return which bodies with these normal forces [N] touch the object."""
+        return normal_forces > TOUCHING_SHARE * self.target_force
+
+    def count_step(self, report: StepReport, row: int, step_length: float) -> None:
+        """Add a step to the solver's account."""
+        self.time += step_length
+        solver = self.evaluation.solver
+        solver.iterations += int(report.iterations[row])
+        solver.step_cuts += int(report.cuts[row])
+        solver.contact_fallbacks += int(report.contact_fallbacks[row])
+        solver.converged = bool(report.converged[row])
+        if solver.converged:
+            solver.steps += 1
+            solver.residual = max(solver.residual, float(report.residual[row]))
+        else:
+            solver.residual = float(report.residual[row])
+
+    def squeeze_failure(self, pads: np.ndarray, platform: float, opening: float) -> tuple[ResultCode, str]:
+        """Return why the target force was not reached.
+
+        Args:
+            pads: Normal forces of the pads [N], shape ``(2,)``.
+            platform: Normal force of the platform [N].
+            opening: Distance of each pad face from the grasp frame's origin [m].
+        """
+        if opening <= 0.0 and not self.was_gripped:
+            return ResultCode.NO_CONTACT, "the pads met without both having touched the object"
+        if opening <= 0.0:
+            return ResultCode.FORCE_NOT_REACHED, "the object was squeezed out from between the pads"
+        touched = [name for name, touches in zip(FINGER_NAMES, self.touching(pads), strict=True) if touches]
+        if len(touched) == len(FINGER_NAMES):
+            text = f"the pads reached {pads.sum():.4g} N of the {self.target_force:.4g} N asked for"
+            return ResultCode.FORCE_NOT_REACHED, text
+        only = f"only the {spoken(touched[0])} touches" if touched else "no finger touches"
+        text = f"{only}: the object does not move up to the other one (platform force {platform:.3g} N)"
+        return ResultCode.NO_CONTACT, text
+
+
+def spoken(finger: str) -> str:
+    """Return a finger's name as in a sentence."""
+    return finger.replace("_", " ")
