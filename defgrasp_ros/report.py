@@ -113,8 +113,8 @@ def material_text(material: Material) -> str:
 def evaluation_table(evaluations: list[GraspEvaluation]) -> Table:
     """Return a table with outcome, the seven features and the metrics of each grasp."""
     table = Table(header_style="bold", pad_edge=False)
-    table.add_column("grasp")
-    table.add_column("outcome")
+    table.add_column("grasp", no_wrap=True)
+    table.add_column("outcome", no_wrap=True)
     table.add_column("force\nN", justify="right")
     columns = (*((c, "features") for c in FEATURE_COLUMNS), *((c, "metrics") for c in METRIC_COLUMNS))
     for (_, title, _, unit, _), _ in columns:
