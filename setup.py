@@ -83,15 +83,16 @@ setup(
         "fast-simplification",  # behind trimesh's simplify_quadric_decimation
         "h5py",
         "matplotlib",
-        "mcap",
+        "mcap>=1.6",  # flush()
         "mcap-ros2-support",
         "meshio",
+        "networkx",  # behind the repair of a surface's winding in trimesh
         "numpy",
         "pytetwild>=0.2.3,<0.3",  # 0.4 needs a visualisation library of 590 MB
         "pyyaml",
         "rich",
         "scipy",
-        "trimesh>=5",  # older ones need networkx for repairs
+        "trimesh>=5",
         "typer",
         "warp-lang>=1.19",
         "zstandard",
