@@ -59,7 +59,7 @@ REST_STEPS = 400
 REST_CHANGE = 1e-6
 """Motion in such a step, relative to the object's size, at which it rests [-]."""
 LONG_STEP = 4
-"""Time steps in one while all that still hangs moves slowly."""
+"""Time steps in one of a hanging object that moves slowly."""
 SLOW_MOTION = 1e-2
 """Motion in a long step, relative to the object's size, that counts as slow [-]."""
 LOWERING_TIME_LIMIT = 10.0
