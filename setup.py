@@ -45,7 +45,6 @@ COLCON = [
 ]
 
 TEST = [
-    "hypothesis",
     "pytest",
     "pytest-timeout",
     "rosbags",
