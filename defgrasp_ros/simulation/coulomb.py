@@ -183,8 +183,6 @@ def semismooth_newton(
     Returns:
         Forces [N], shape ``(3 contact,)``, and the largest entry of Phi [N].
     """
-    contacts = len(offset) // 3
-    identity = np.eye(3 * contacts)
 
     def function(force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         trial = (force - (matrix @ force + offset) / rho).reshape(-1, 3)
@@ -195,9 +193,7 @@ def semismooth_newton(
     for _ in range(NEWTON_ITERATIONS):
         if np.abs(value).max(initial=0.0) < tolerance:
             break
-        slope = _block_times(_alart_curnier_slope(trial, friction), identity - matrix / rho)
-        # Neighbouring points can depend on each other; the small shift picks one of their equivalent solutions.
-        direction = np.linalg.solve((1.0 + NEWTON_REGULARISATION) * identity - slope, -value)
+        direction = _newton_direction(matrix / rho, trial, value, friction)
         length, merit = 1.0, np.linalg.norm(value)
         while length > 1e-3:
             candidate, candidate_trial = function(force + length * direction)
@@ -207,6 +203,29 @@ def semismooth_newton(
         force = force + length * direction
         value, trial = (candidate, candidate_trial) if length > 1e-3 else function(force)
     return force, float(np.abs(value).max(initial=0.0))
+
+
+def _newton_direction(scaled: np.ndarray, trial: np.ndarray, value: np.ndarray, friction: float) -> np.ndarray:
+    """Solve the linearised system; contacts that are open at ``trial`` just give up their force.
+
+    Args:
+        scaled: W / r [-], shape ``(3 contact, 3 contact)``.
+        trial: lambda - w / r [N], shape ``(contact, 3)``.
+        value: Phi [N], shape ``(3 contact,)``.
+        friction: Coulomb's mu [-].
+    """
+    pressed = np.repeat(trial[:, 0] > 0.0, 3)
+    direction = -value
+    if not pressed.any():
+        return direction
+    slope = _alart_curnier_slope(trial[trial[:, 0] > 0.0], friction)
+    rows = scaled[pressed]
+    system = np.eye(len(rows)) - _block_times(slope, np.eye(len(rows)) - rows[:, pressed])
+    # Neighbouring points can depend on each other; the small shift picks one of their equivalent solutions.
+    system[np.diag_indices(len(rows))] += NEWTON_REGULARISATION
+    right_side = -value[pressed] - _block_times(slope, rows[:, ~pressed] @ direction[~pressed][:, None])[:, 0]
+    direction[pressed] = np.linalg.solve(system, right_side)
+    return direction
 
 
 def _alart_curnier(trial: np.ndarray, friction: float) -> np.ndarray:
