@@ -193,7 +193,10 @@ def semismooth_newton(
     for _ in range(NEWTON_ITERATIONS):
         if np.abs(value).max(initial=0.0) < tolerance:
             break
-        direction = _newton_direction(matrix / rho, trial, value, friction)
+        try:
+            direction = _newton_direction(matrix / rho, trial, value, friction)
+        except np.linalg.LinAlgError:
+            break  # no direction from here; the residual tells that this is no solution
         length, merit = 1.0, np.linalg.norm(value)
         while length > 1e-3:
             candidate, candidate_trial = function(force + length * direction)
