@@ -86,6 +86,17 @@ def test_newton_agrees_with_admm(seed):
     np.testing.assert_allclose(force.reshape(-1, 3), solve(matrix, offset), atol=1e-7)
 
 
+def test_newton_without_a_direction_is_no_solution(monkeypatch):
+    """A singular linear system ends the method with a residual above the tolerance, not with an exception."""
+
+    def singular(*_):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(np.linalg, "solve", singular)
+    _, residual = semismooth_newton(np.eye(3), np.array([-1.0, 0.0, 0.0]), FRICTION, 0.3, np.zeros(3), TOLERANCE)
+    assert residual > TOLERANCE
+
+
 def test_kernels_for_the_gpu_give_the_same():
     """Products and inverse by kernels agree with BLAS and LAPACK, for sizes that fill no tile."""
     random = np.random.default_rng(7)
