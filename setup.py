@@ -48,6 +48,7 @@ TEST = [
     "pytest",
     "pytest-timeout",
     "rosbags",
+    "rtree",  # behind the ray casts and distances of trimesh
     "ruff",
     "scikit-fem",
 ]
