@@ -17,6 +17,7 @@ import scipy.sparse
 
 from defgrasp_ros.errors import InvalidMeshError
 from defgrasp_ros.object_model import ObjectModel
+from defgrasp_ros.simulation.reference_element import REFERENCE_ELEMENTS
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,19 +67,26 @@ class RestSystem:
 
 
 def rest_stiffness(model: ObjectModel) -> scipy.sparse.csr_matrix:
-    """Assemble K0 of linear tetrahedra, K_ab = V (lambda G_a G_b^T + mu G_b G_a^T + mu (G_a . G_b) I) [N/m]."""
+    """Assemble K0, K_ab = sum over points of V_q (lambda G_a G_b^T + mu G_b G_a^T + mu (G_a . G_b) I) [N/m].
+
+    G_a is the gradient of shape function a at the point. The quadrature is exact.
+    """
     mesh = model.mesh
+    reference = REFERENCE_ELEMENTS[mesh.element_order]
     lame_lambda, lame_mu = model.material.lame_parameters
-    g = mesh.shape_gradients
-    dot = np.einsum("tai,tbi->tab", g, g)
-    blocks = lame_lambda * np.einsum("tai,tbj->taibj", g, g) + lame_mu * np.einsum("tbi,taj->taibj", g, g)
-    blocks += lame_mu * np.einsum("tab,ij->taibj", dot, np.eye(3))
-    blocks *= mesh.volumes[:, None, None, None, None]
-    index = (3 * mesh.tetrahedra[:, :, None] + np.arange(3)).reshape(-1, 12)
-    rows = np.repeat(index, 12, axis=1).ravel()
-    columns = np.tile(index, (1, 12)).ravel()
-    size = 3 * len(mesh.vertices)
-    return scipy.sparse.coo_matrix((blocks.reshape(-1), (rows, columns)), shape=(size, size)).tocsr()
+    size = 3 * reference.node_count
+    blocks = np.zeros((len(mesh.tetrahedra), size, size))
+    for g in np.moveaxis(reference.gradients(mesh.shape_gradients), 1, 0):
+        product = np.einsum("tai,tbj->taibj", g, g)
+        point = lame_lambda * product + lame_mu * product.transpose(0, 1, 4, 3, 2)
+        point += lame_mu * np.einsum("taibi,jk->tajbk", product, np.eye(3))
+        blocks += point.reshape(blocks.shape)
+    blocks *= (mesh.volumes / reference.point_count)[:, None, None]
+    index = (3 * mesh.elements[:, :, None] + np.arange(3)).reshape(-1, size)
+    rows = np.repeat(index, size, axis=1).ravel()
+    columns = np.tile(index, (1, size)).ravel()
+    shape = (3 * len(mesh.vertices),) * 2
+    return scipy.sparse.coo_matrix((blocks.ravel(), (rows, columns)), shape=shape).tocsr()
 
 
 def rigid_modes(vertices: np.ndarray, mass: np.ndarray) -> np.ndarray:
