@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse
 import warp as wp
 
 from defgrasp_ros.gripper import Gripper
@@ -19,7 +20,7 @@ SNAP_DISTANCE = 0.1
 class DeviceModel:
     """Mesh, material and pad outline on a device; shared by all worlds."""
 
-    def __init__(self, model: ObjectModel, gripper: Gripper, mass: np.ndarray, device: wp.Device):
+    def __init__(self, model: ObjectModel, gripper: Gripper, mass: scipy.sparse.csr_matrix, device: wp.Device):
         mesh = model.mesh
         self.node_count = len(mesh.vertices)
         self.tet_count = len(mesh.tetrahedra)
@@ -37,7 +38,9 @@ class DeviceModel:
         self.elements = wp.array(mesh.elements, dtype=int, device=device)
         self.gradients = wp.array(mesh.shape_gradients, dtype=mat43d, device=device)
         self.volumes = wp.array(mesh.volumes, dtype=wp.float64, device=device)
-        self.mass = wp.array(mass, dtype=wp.float64, device=device)
+        self.mass_start = wp.array(mass.indptr, dtype=int, device=device)
+        self.mass_node = wp.array(mass.indices, dtype=int, device=device)
+        self.mass = wp.array(mass.data, dtype=wp.float64, device=device)
         start, entry = incidence(mesh.elements, self.node_count)
         self.incidence_start = wp.array(start, dtype=int, device=device)
         self.incidence_entry = wp.array(entry, dtype=int, device=device)

@@ -2,7 +2,7 @@
 
 The residual of an implicit Euler step of length h from (u_n, v_n) to u is, per node,
 
-    r = m (g + (v_n - (u - u_n) / h) / h) + f_elastic(u) + f_contact.
+    r = M (g + (v_n - (u - u_n) / h) / h) + f_elastic(u) + f_contact.
 
 What an element contributes is in ``kernels_element``. Everything is double precision. "world" is one simulated
 experiment; kernels run over a compact list of worlds: ``worlds[i]`` is the row of the state, ``i`` the row of the work
@@ -63,11 +63,7 @@ def refresh_rotations(
 
 
 @wp.kernel
-def dynamic_residual(
-    # Model:
-    incidence_start: wp.array[int],  # (node + 1,)
-    incidence_entry: wp.array[int],  # (incidence,), column of element_force
-    mass: wp.array[wp.float64],  # (node,) [kg]
+def missing_acceleration(
     step_length: wp.float64,  # [s]
     # State in:
     worlds: wp.array[int],  # (row,)
@@ -75,19 +71,38 @@ def dynamic_residual(
     start_displacement: wp.array2d[vec3d],  # (world, node) [m]
     start_velocity: wp.array2d[vec3d],  # (world, node) [m/s]
     displacement: wp.array2d[vec3d],  # (world, node) [m]
+    # Out:
+    acceleration_out: wp.array2d[vec3d],  # (row, node) [m/s^2]
+):
+    """Gravity less the acceleration of the step."""
+    i, n = wp.tid()
+    w = worlds[i]
+    velocity = (displacement[w, n] - start_displacement[w, n]) / step_length
+    acceleration_out[i, n] = gravity[w] + (start_velocity[w, n] - velocity) / step_length
+
+
+@wp.kernel
+def dynamic_residual(
+    # Model:
+    incidence_start: wp.array[int],  # (node + 1,)
+    incidence_entry: wp.array[int],  # (incidence,), column of element_force
+    mass_start: wp.array[int],  # (node + 1,)
+    mass_node: wp.array[int],  # (entry of M,)
+    mass: wp.array[wp.float64],  # (entry of M,) [kg]
+    # In:
+    acceleration: wp.array2d[vec3d],  # (row, node) [m/s^2], of missing_acceleration
     element_force: wp.array2d[vec3d],  # (row, tet x node of the element) [N]
     # Out:
     residual_out: wp.array2d[vec3d],  # (row, node) [N], contact forces still missing
 ):
     """Inertia, gravity and elastic force of each node."""
     i, n = wp.tid()
-    w = worlds[i]
     force = vec3d()
     for k in range(incidence_start[n], incidence_start[n + 1]):
         force += element_force[i, incidence_entry[k]]
-    velocity = (displacement[w, n] - start_displacement[w, n]) / step_length
-    acceleration = gravity[w] + (start_velocity[w, n] - velocity) / step_length
-    residual_out[i, n] = mass[n] * acceleration + force
+    for k in range(mass_start[n], mass_start[n + 1]):
+        force += mass[k] * acceleration[i, mass_node[k]]
+    residual_out[i, n] = force
 
 
 @wp.kernel

@@ -2,9 +2,9 @@
 
     A0(h) = M / h^2 + K0,      P(h) = A0(h)^-1
 
-K0 is the stiffness of the undeformed mesh; M is lumped. P depends on the object and the step length only, so one
-dense matrix serves every grasp of a batch. It sets how fast the iteration of a step converges, never what it
-converges to.
+K0 is the stiffness of the undeformed mesh, M its mass (diagonal at element order 1). P depends on the object and the
+step length only, so one dense matrix serves every grasp of a batch. It sets how fast the iteration of a step converges,
+never what it converges to.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ class Compliance:
 
 
 class RestSystem:
-    """Lumped mass and rest stiffness of an object, and their combined inverse for any step length."""
+    """Mass and rest stiffness of an object, and their combined inverse for any step length."""
 
     def __init__(self, model: ObjectModel):
-        self.mass = model.material.density * model.mesh.node_volumes
-        """Lumped mass [kg], shape ``(node,)``."""
+        self.mass = mass_matrix(model)
+        """M [kg], sparse, shape ``(node, node)``; the same along x, y and z."""
         self.stiffness = rest_stiffness(model)
         """K0 [N/m], sparse, shape ``(3 node, 3 node)``."""
         self._rigid_modes = rigid_modes(model.mesh.vertices, self.mass)
@@ -51,7 +51,9 @@ class RestSystem:
             InvalidMeshError: If the stiffness is not positive semi-definite, as with inverted elements.
         """
         matrix = self.stiffness.toarray()
-        matrix[np.diag_indices_from(matrix)] += np.repeat(self.mass, 3) / step_length**2
+        mass = self.mass.toarray() / step_length**2
+        for axis in range(3):
+            matrix[axis::3, axis::3] += mass
         lapack = scipy.linalg.lapack
         factor, failed = lapack.dpotrf(matrix.T, lower=1, overwrite_a=1)
         if failed:
@@ -64,6 +66,18 @@ class RestSystem:
         rigid_diagonal = step_length**2 * (self._rigid_modes**2).sum(axis=1)
         elastic = (np.diagonal(inverse) - rigid_diagonal).reshape(-1, 3).mean(axis=1)
         return Compliance(step_length, inverse.T, elastic, step_length**2 / self.mass.sum())
+
+
+def mass_matrix(model: ObjectModel) -> scipy.sparse.csr_matrix:
+    """Assemble M [kg], shape ``(node, node)``."""
+    mesh = model.mesh
+    element = REFERENCE_ELEMENTS[mesh.element_order].mass
+    masses = model.material.density * mesh.volumes
+    first, second = np.nonzero(element)
+    entries = masses[:, None] * element[first, second]
+    shape = (len(mesh.vertices),) * 2
+    rows, columns = mesh.elements[:, first].ravel(), mesh.elements[:, second].ravel()
+    return scipy.sparse.coo_matrix((entries.ravel(), (rows, columns)), shape=shape).tocsr()
 
 
 def rest_stiffness(model: ObjectModel) -> scipy.sparse.csr_matrix:
@@ -89,11 +103,13 @@ def rest_stiffness(model: ObjectModel) -> scipy.sparse.csr_matrix:
     return scipy.sparse.coo_matrix((blocks.ravel(), (rows, columns)), shape=shape).tocsr()
 
 
-def rigid_modes(vertices: np.ndarray, mass: np.ndarray) -> np.ndarray:
+def rigid_modes(vertices: np.ndarray, mass: scipy.sparse.csr_matrix) -> np.ndarray:
     """Return the six rigid-body modes Phi with Phi^T M Phi = I, shape ``(3 node, 6)``."""
-    centred = vertices - mass @ vertices / mass.sum()
-    translations = np.tile(np.eye(3), (len(vertices), 1))
-    rotations = np.cross(np.eye(3)[None, :, :], centred[:, None, :]).transpose(0, 2, 1).reshape(-1, 3)
-    weighted = np.sqrt(np.repeat(mass, 3))[:, None] * np.hstack([translations, rotations])
-    orthonormal, _ = np.linalg.qr(weighted)
-    return orthonormal / np.sqrt(np.repeat(mass, 3))[:, None]
+    weights = mass @ np.ones(len(vertices))
+    centred = vertices - weights @ vertices / weights.sum()
+    translations = np.tile(np.eye(3), (len(vertices), 1, 1))
+    rotations = np.cross(np.eye(3)[None, :, :], centred[:, None, :]).transpose(0, 2, 1)
+    modes = np.concatenate([translations, rotations], axis=2)
+    inertia = np.einsum("nij,nik->jk", modes, np.einsum("nm,mik->nik", mass.toarray(), modes))
+    flat = modes.reshape(-1, 6)
+    return scipy.linalg.solve_triangular(np.linalg.cholesky(inertia), flat.T, lower=True).T
