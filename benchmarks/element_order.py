@@ -22,7 +22,6 @@ from defgrasp_ros.mesh.shapes import box
 from defgrasp_ros.mesh.tetrahedralize import tetrahedralize
 from defgrasp_ros.object_model import ObjectModel
 from defgrasp_ros.simulation.device_model import DeviceModel
-from defgrasp_ros.simulation.launching import launch_rows
 from defgrasp_ros.simulation.rest_system import RestSystem, rest_stiffness
 from defgrasp_ros.simulation.simulator import Simulator
 from defgrasp_ros.simulation.types import mat33d, vec3d
@@ -70,7 +69,7 @@ def element_pass(model: ObjectModel, worlds: int = 16) -> float:
     for _ in range(10):
         start = time.perf_counter()
         dim = (worlds, constants.tet_count)
-        launch_rows(constants.kernels.forces, dim, inputs, [rotation, force], device=device, threads=1)
+        wp.launch(constants.kernels.forces, dim=dim, inputs=inputs, outputs=[rotation, force], device=device)
         times.append(time.perf_counter() - start)
     return min(times) / worlds
 

@@ -28,7 +28,6 @@ from defgrasp_ros.simulation.anderson import Anderson
 from defgrasp_ros.simulation.contact_set import ContactSet
 from defgrasp_ros.simulation.dense import DeviceAlgebra, HostAlgebra
 from defgrasp_ros.simulation.device_model import DeviceModel
-from defgrasp_ros.simulation.launching import Row, launch_rows
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
 from defgrasp_ros.simulation.types import mat33d, vec3d
 from defgrasp_ros.simulation.world_state import WorldState, set_entries
@@ -182,26 +181,26 @@ class Stepper:
     def _evaluate_residual(self, rows: wp.array, shared: SharedCompliance) -> np.ndarray:
         """Leave the nodal residual in its buffer; return the worse of nodal and contact residual [N]."""
         model, state, count = self._model, self._state, rows.shape[0]
-        self._launch_rows(
+        self._launch(
             model.kernels.forces,
             (count, model.tet_count),
-            [model.elements, model.gradients, model.volumes, model.lame, Row(rows), state.displacement],
-            [Row(self._element_rotation), Row(self._element_force)],
+            [model.elements, model.gradients, model.volumes, model.lame, rows, state.displacement],
+            [self._element_rotation, self._element_force],
         )
-        nodes, acceleration = (count, model.node_count), Row(self._product)
-        self._launch_rows(
+        nodes, acceleration = (count, model.node_count), self._product
+        self._launch(
             elastic.missing_acceleration,
             nodes,
-            [shared.step_length, Row(rows), state.gravity, state.start_displacement, state.start_velocity]
+            [shared.step_length, rows, state.gravity, state.start_displacement, state.start_velocity]
             + [state.displacement],
             [acceleration],
         )
-        self._launch_rows(
+        self._launch(
             elastic.dynamic_residual,
             nodes,
             [model.incidence_start, model.incidence_entry, model.mass_start, model.mass_node, model.mass]
-            + [acceleration, Row(self._element_force)],
-            [Row(self._residual)],
+            + [acceleration, self._element_force],
+            [self._residual],
         )
         self._refresh_rotations(rows, shared)
         self._contacts.refresh_compliance(rows, shared)
@@ -212,8 +211,8 @@ class Stepper:
     def _refresh_rotations(self, rows: wp.array, shared: SharedCompliance) -> None:
         """Follow the nodes' rotations where they have changed too much."""
         model, state, count = self._model, self._state, rows.shape[0]
-        inputs = [model.incidence_start, model.incidence_tet, model.volumes, Row(self._element_rotation)]
-        self._launch_rows(elastic.nodal_rotations, (count, model.node_count), inputs, [Row(self._node_rotation)])
+        inputs = [model.incidence_start, model.incidence_tet, model.volumes, self._element_rotation]
+        self._launch(elastic.nodal_rotations, (count, model.node_count), inputs, [self._node_rotation])
         inputs = [rows, self._node_rotation, shared.rotation_tolerance]
         self._launch(elastic.refresh_rotations, count, inputs, [state.rotation, self._contacts.stale])
 
@@ -270,9 +269,6 @@ class Stepper:
 
     def _rows(self, worlds: np.ndarray) -> wp.array:
         return wp.array(worlds, dtype=int, device=self._device)
-
-    def _launch_rows(self, kernel, dim: tuple[int, int], inputs: list, outputs: list) -> None:
-        launch_rows(kernel, dim, inputs, outputs, device=self._device)
 
     def _launch(self, kernel, dim, inputs: list, outputs: list | None = None) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self._device)
