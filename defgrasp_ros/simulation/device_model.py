@@ -25,6 +25,8 @@ class DeviceModel:
         self.lame = vec2d(*model.material.lame_parameters)
         self.mean_edge = float(np.linalg.norm(np.diff(mesh.vertices[mesh.surface_edges], axis=1), axis=-1).mean())
         """Mean edge of the surface [m]."""
+        self.size = mesh.size
+        """Of the object [m]."""
 
         self.vertices = wp.array(mesh.vertices, dtype=vec3d, device=device)
         self.tetrahedra = wp.array(mesh.tetrahedra, dtype=int, device=device)
