@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from defgrasp_ros.simulation.coulomb import ContactProblem, admm, semismooth_newton, solve_contacts
+from defgrasp_ros.simulation.coulomb import (
+    ContactProblem,
+    project_on_cone,
+    semismooth_newton,
+    solve_contacts,
+    with_de_saxce,
+)
 
 FRICTION = 0.5
 TOLERANCE = 1e-9
@@ -17,6 +23,25 @@ def problem_of(matrix: np.ndarray, offset: np.ndarray) -> ContactProblem:
 def solve(matrix: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """Forces of one contact problem from a cold start, shape ``(contact, 3)``."""
     return solve_contacts(problem_of(matrix, offset), np.zeros(len(offset)), TOLERANCE)[0].reshape(-1, 3)
+
+
+def admm(problem: ContactProblem, iterations: int = 3000) -> np.ndarray:
+    """An independent method: over-relaxed ADMM with the scaled dual u, whose De Saxce shift s is taken from the dual.
+
+    x = (W + rho)^-1 (rho (z - u) - q - s),   s = (mu rho |u_t|, 0, 0),   z = Proj_K(x' + u),   u += x' - z
+    """
+    rho, friction = problem.rho, problem.friction
+    inverse = np.linalg.inv(problem.matrix + rho * np.eye(len(problem.offset)))
+    z = np.zeros((len(problem.offset) // 3, 3))
+    dual = -with_de_saxce(problem.offset.reshape(-1, 3), friction) / rho
+    for _ in range(iterations):
+        right_side = rho * (z - dual)
+        right_side[:, 0] -= friction * rho * np.hypot(dual[:, 1], dual[:, 2])
+        x = (inverse @ (right_side.ravel() - problem.offset)).reshape(-1, 3)
+        relaxed = 1.5 * x - 0.5 * z
+        z = project_on_cone(relaxed + dual, friction)
+        dual = dual + relaxed - z
+    return z.ravel()
 
 
 def random_problem(seed: int, contacts: int = 12) -> tuple[np.ndarray, np.ndarray]:
@@ -67,7 +92,7 @@ def test_newton_agrees_with_admm(seed, scale):
     """Both methods find the same forces, Newton's with any scaling that works."""
     problem = problem_of(*random_problem(seed))
     start = np.zeros(len(problem.offset))
-    by_admm = admm(problem, start, TOLERANCE)
+    by_admm = admm(problem)
     assert problem.residual(by_admm, problem.motion(by_admm)) < TOLERANCE
     force, residual = semismooth_newton(problem, scale * problem.rho, start, TOLERANCE)
     assert residual < TOLERANCE
@@ -82,15 +107,14 @@ def test_points_that_depend_on_each_other():
     np.testing.assert_allclose(twice[: len(once)] + twice[len(once) :], once, atol=1e-6)
 
 
-def test_admm_takes_over_where_newton_has_no_direction(monkeypatch):
-    """A singular linear system ends Newton's method without an exception, and the answer is still right."""
+def test_no_direction_is_no_solution(monkeypatch):
+    """Singular linear systems end the method with a residual above the tolerance, not with an exception."""
 
     def singular(*_):
         raise np.linalg.LinAlgError("Singular matrix")
 
     matrix, offset = random_problem(0)
-    expected = solve(matrix, offset)
+    problem = problem_of(matrix, offset)
     monkeypatch.setattr(np.linalg, "solve", singular)
-    force, hard = solve_contacts(problem_of(matrix, offset), np.zeros(len(offset)), TOLERANCE)
-    assert hard
-    np.testing.assert_allclose(force.reshape(-1, 3), expected, atol=1e-7)
+    force, hard = solve_contacts(problem, np.zeros(len(offset)), TOLERANCE)
+    assert hard and problem.residual(force, problem.motion(force)) > TOLERANCE

@@ -8,7 +8,7 @@ which is  K  contains  lambda  _|_  w + mu |w_t| n  in  K*  with the Coulomb con
 solution is that of the natural map, |lambda - Proj_K(lambda - (w + mu |w_t| n) / rho)| [N], largest over the contacts.
 
 A semismooth Newton method starts from the forces of the iteration before; it mostly needs one to four linear systems.
-Where it fails with every scaling that it tries, a long ADMM run takes over.
+Where it gets stuck it starts again, with another scaling or from no forces at all.
 Vectors of a contact are (normal, tangential, tangential).
 """
 
@@ -18,15 +18,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MAX_NEWTON_ITERATIONS = 30
-"""For one scaling."""
+MAX_NEWTON_ITERATIONS = 20
+"""For one attempt."""
 NEWTON_REGULARISATION = 1e-6
 """Shift of the diagonal [-]: neighbouring points can depend on each other, this picks one of the equal solutions."""
 SUFFICIENT_DECREASE = 0.1
 SHORTEST_STEP = 1e-3
-ADMM_ITERATIONS = 1000
-ADMM_CHECK_INTERVAL = 20
-OVER_RELAXATION = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,17 +59,23 @@ def solve_contacts(problem: ContactProblem, start: np.ndarray, tolerance: float)
         tolerance: Largest accepted residual [N].
 
     Returns:
-        Forces [N], shape ``(3 contact,)``, and whether Newton's method failed. Forces that obey the laws less well
+        Forces [N], shape ``(3 contact,)``, and whether the first attempt failed. Forces that obey the laws less well
         than asked for are the best that were found; the caller's own residual tells.
     """
-    mean = np.sqrt(problem.rho * np.trace(problem.matrix))
-    # From force to motion there is an elastic scale and one of the rigid body. The best lies between them; each of
-    # these fails on problems that another solves.
-    for scale in (0.2 * mean, problem.rho, 10.0 * mean):
-        force, residual = semismooth_newton(problem, scale, start, tolerance)
+    # From force to motion there is an elastic scale and one of the rigid body. The best mostly lies between them, but
+    # each combination fails on problems that another one solves.
+    elastic, mean = problem.rho, 0.2 * np.sqrt(problem.rho * np.trace(problem.matrix))
+    none = np.zeros_like(start)
+    attempts = [(start, mean), (start, 10.0 * elastic), (start, elastic)]
+    attempts += [(none, mean), (none, elastic), (none, 10.0 * elastic)]
+    best, least = start, np.inf
+    for number, (guess, scale) in enumerate(attempts):
+        force, residual = semismooth_newton(problem, scale, guess, tolerance)
+        if residual < least:
+            best, least = force, residual
         if residual <= tolerance:
-            return force, False
-    return admm(problem, start, tolerance), True
+            return best, number > 0
+    return best, True
 
 
 def semismooth_newton(
@@ -103,6 +106,8 @@ def semismooth_newton(
         if direction is None:
             return force, residual
         change, merit, length = problem.matrix @ direction, np.linalg.norm(value), 1.0
+        if not np.isfinite(change @ change):
+            return force, residual
         while True:
             next_force, next_motion = force + length * direction, motion + length * change
             trial = next_force - next_motion / scale
@@ -183,41 +188,6 @@ def _alart_curnier_slope(trial: np.ndarray, friction: float) -> np.ndarray:
         slope[sliding, 1:, 0] = friction * direction
         slope[sliding, 1:, 1:] = (radius[sliding] / length[sliding])[:, None, None] * across
     return slope
-
-
-def admm(problem: ContactProblem, start: np.ndarray, tolerance: float) -> np.ndarray:
-    """Over-relaxed ADMM with the scaled dual u, whose De Saxce shift s is taken from the dual itself:
-
-        x = (W + rho)^-1 (rho (z - u) - q - s),   s = (mu rho |u_t|, 0, 0)
-        x' = a x + (1 - a) z,   z = Proj_K(x' + u),   u += x' - z.
-
-    Args:
-        problem: The contacts.
-        start: First guess [N], shape ``(3 contact,)``.
-        tolerance: Residual of the natural map at which to stop [N].
-
-    Returns:
-        The best forces that were seen [N], shape ``(3 contact,)``.
-    """
-    rho, friction = problem.rho, problem.friction
-    inverse = np.linalg.inv(problem.matrix + rho * np.eye(len(start)))
-    z = project_on_cone(start.reshape(-1, 3), friction)
-    dual = -with_de_saxce(problem.motion(z.ravel()).reshape(-1, 3), friction) / rho
-    best, least = z, np.inf
-    for iteration in range(ADMM_ITERATIONS + 1):
-        if iteration % ADMM_CHECK_INTERVAL == 0:
-            residual = problem.residual(z.ravel(), problem.motion(z.ravel()))
-            if residual < least:
-                best, least = z, residual
-            if residual <= tolerance:
-                break
-        right_side = rho * (z - dual)
-        right_side[:, 0] -= friction * rho * np.hypot(dual[:, 1], dual[:, 2])
-        x = (inverse @ (right_side.ravel() - problem.offset)).reshape(-1, 3)
-        relaxed = OVER_RELAXATION * x + (1.0 - OVER_RELAXATION) * z
-        z = project_on_cone(relaxed + dual, friction)
-        dual = dual + relaxed - z
-    return best.ravel()
 
 
 def project_on_cone(v: np.ndarray, friction: float) -> np.ndarray:

@@ -42,6 +42,8 @@ CONTACT_REDUCTION = 1e-3
 """Early iterations need no better contact forces than this fraction of their residual [-]."""
 MAX_ITERATIONS = 40
 """Iterations after which a step is given up."""
+MAX_STALLED = 8
+"""Iterations in a row that do not reduce the residual after which a step is given up."""
 RESTART_GROWTH = 2.0
 """Growth of the residual in an iteration at which the acceleration starts anew [-]."""
 MAX_SEARCHES = 5
@@ -134,13 +136,16 @@ class Stepper:
 
         self._forget(worlds)
         active = np.arange(count)
-        last_residual = np.full(count, np.inf)
+        last_residual, best_residual = np.full(count, np.inf), np.full(count, np.inf)
+        stalled = np.zeros(count, dtype=int)
         searches = np.zeros(count, dtype=int)
         for iteration in range(MAX_ITERATIONS + 1):
             rows = self._rows(worlds[active])
             residual = self._evaluate_residual(rows, shared) / force_scale[active]
             report.residual[active] = residual
-            goes_on = np.isfinite(residual)
+            stalled[active] = np.where(residual < best_residual[active], 0, stalled[active] + 1)
+            best_residual[active] = np.fmin(best_residual[active], residual)
+            goes_on = np.isfinite(residual) & (stalled[active] <= MAX_STALLED)
             solved = residual < TOLERANCE
             if solved.any():
                 incomplete = self._overlooked_contacts(worlds, active, solved, searches)
