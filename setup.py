@@ -92,6 +92,7 @@ setup(
         "pyyaml",
         "rich",
         "scipy",
+        "threadpoolctl",
         "trimesh>=5",
         "typer",
         "warp-lang>=1.19",

@@ -169,6 +169,11 @@ class ElementKernels:
     forces: wp.Kernel
     stresses: wp.Kernel
 
+    def load(self, device: wp.Device) -> None:
+        """Compile them now: threads that launch a kernel for the first time at once would all compile it."""
+        for kernel in (self.forces, self.stresses):
+            kernel.module.load(device)
+
 
 @cache
 def element_kernels(order: int) -> ElementKernels:

@@ -53,6 +53,19 @@ class WorldState:
         """The arrays that say where a world is at the start of a step."""
         return self.start_displacement, self.start_velocity, self.start_opening
 
+    def motion_of(self, world: int) -> tuple[np.ndarray, ...]:
+        """Where a world is and how it moves, to be given to others."""
+        return tuple(array.numpy()[world].copy() for array in self._nodal)
+
+    def set_motion(self, worlds: np.ndarray, motion: tuple[np.ndarray, ...]) -> None:
+        """Give some worlds the motion of another."""
+        for array, values in zip(self._nodal, motion, strict=True):
+            set_entries(array, worlds, values)
+
+    @property
+    def _nodal(self) -> tuple[wp.array, ...]:
+        return self.displacement, self.start_displacement, self.start_velocity, self.rotation
+
     def platform_heights(self, worlds: np.ndarray) -> np.ndarray:
         """Height of the platform's surface [m], shape ``(n,)``."""
         return self.bodies.base.numpy()[worlds, PLATFORM].copy()
