@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -79,8 +78,8 @@ def evaluate(
     )
     hand = load_gripper(gripper)
     indices, chosen = _chosen(read_grasps(grasps), grasp_indices)
-    mesh = read_mesh(object_file, scale=scale, target_edge_length=edge_length)
-    model = ObjectModel(object_file.stem, replace(mesh, element_order=element_order), material)
+    mesh = read_mesh(object_file, scale=scale, target_edge_length=edge_length, element_order=element_order)
+    model = ObjectModel(object_file.stem, mesh, material)
     console.print(
         f"{model.name}: {len(model.mesh.vertices)} nodes, {len(model.mesh.tetrahedra)} tetrahedra, "
         f"{1e3 * model.mass:.1f} g"
