@@ -8,7 +8,7 @@ import warp as wp
 from defgrasp_ros.simulation import kernels_contact as contact
 from defgrasp_ros.simulation import kernels_coulomb as coulomb
 from defgrasp_ros.simulation import kernels_detection as detection
-from defgrasp_ros.simulation.contact_forces import ContactForces
+from defgrasp_ros.simulation.contact_forces import SLIPPING_SHARE, ContactForces
 from defgrasp_ros.simulation.coulomb import ContactProblem, solve_contacts
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
@@ -238,20 +238,20 @@ class ContactSet:
         """Add what the last ``solve`` changed in the contact forces to nodal forces (row, node) [N]."""
         self._scatter(rows, nodal_force)
 
-    def contacts_of(self, world: int) -> dict[str, np.ndarray]:
-        """The points and forces of a world, to be given to others."""
+    def snapshot(self, world: int) -> dict[str, np.ndarray]:
+        """Return the points and forces of a world, on the host."""
         count = self.lists.count.numpy()[world]
         return {name: getattr(self.lists, name).numpy()[world, :count].copy() for name in CONTACT_FIELDS}
 
-    def set_contacts(self, worlds: np.ndarray, contacts: dict[str, np.ndarray]) -> None:
-        """Give some worlds the points and forces of another."""
-        count = len(contacts["key"])
+    def restore(self, world: int, snapshot: dict[str, np.ndarray]) -> None:
+        """Give a world the points and forces that another had."""
+        count = len(snapshot["key"])
         if count > self.capacity:
             self._grow(count)
-        set_entries(self.lists.count, worlds, count)
-        for name, values in contacts.items():
-            set_entries(getattr(self.lists, name), (worlds, slice(count)), values)
-        set_entries(self.stale, worlds, 1)
+        set_entries(self.lists.count, world, count)
+        for name, values in snapshot.items():
+            set_entries(getattr(self.lists, name), (world, slice(count)), values)
+        set_entries(self.stale, world, 1)
 
     def normal_forces(self, worlds: np.ndarray) -> np.ndarray:
         """Sum of the normal forces of left pad, right pad and platform [N], shape ``(n, 3)``."""
@@ -278,6 +278,17 @@ class ContactSet:
             weights=weights,
             friction=self._model.friction,
         )
+
+    def sliding(self, worlds: np.ndarray) -> np.ndarray:
+        """Whether each pad touches and all of its loaded points have used up their friction, shape ``(n, 2)``."""
+        count, body = self.lists.count.numpy()[worlds], self.lists.body.numpy()[worlds]
+        force = self.lists.force.numpy()[worlds]
+        loaded = (np.arange(self.capacity) < count[:, None]) & (force[:, :, 0] > 0.0)
+        limit = SLIPPING_SHARE * self._model.friction * force[:, :, 0]
+        holding = loaded & (np.hypot(force[:, :, 1], force[:, :, 2]) < limit)
+        pads = (contact.LEFT_PAD, contact.RIGHT_PAD)
+        mine = [body == pad for pad in pads]
+        return np.stack([(loaded & m).any(axis=1) & ~(holding & m).any(axis=1) for m in mine], axis=1)
 
     def _scatter(self, rows: wp.array, nodal_force: wp.array) -> None:
         inputs = [self._state.bodies, self.lists, rows, self._force, nodal_force]

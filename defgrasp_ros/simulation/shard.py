@@ -3,6 +3,8 @@ the work."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import warp as wp
 
@@ -19,6 +21,15 @@ MAX_CUTS = 2
 """How often a step may be cut before its world is given up."""
 
 
+@dataclass(frozen=True, eq=False)
+class WorldSnapshot:
+    """One world at one instant, on the host; other worlds can go on from there."""
+
+    state: list[np.ndarray]
+    contacts: dict[str, np.ndarray]
+    force_scale: float
+
+
 class Shard:
     """State, contacts and stepping of ``world_count`` worlds; indices of worlds are its own, from 0."""
 
@@ -29,6 +40,16 @@ class Shard:
         self.force_scale = np.zeros(world_count)
         """Force to which residuals are compared [N]."""
         self._stepper = Stepper(model, self.state, self.contacts, world_count, device)
+
+    def snapshot(self, world: int) -> WorldSnapshot:
+        """Return all that is known about a world."""
+        return WorldSnapshot(self.state.snapshot(world), self.contacts.snapshot(world), self.force_scale[world])
+
+    def restore(self, world: int, snapshot: WorldSnapshot) -> None:
+        """Make a world what another was."""
+        self.state.restore(world, snapshot.state)
+        self.contacts.restore(world, snapshot.contacts)
+        self.force_scale[world] = snapshot.force_scale
 
     def step(
         self,

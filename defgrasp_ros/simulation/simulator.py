@@ -7,7 +7,7 @@ How a step is solved is in :mod:`stepper`.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -23,7 +23,7 @@ from defgrasp_ros.simulation import kernels_elasticity as elastic
 from defgrasp_ros.simulation.contact_forces import ContactForces
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.rest_system import RestSystem
-from defgrasp_ros.simulation.shard import Shard
+from defgrasp_ros.simulation.shard import Shard, WorldSnapshot
 from defgrasp_ros.simulation.shared_compliance import ComplianceCache
 from defgrasp_ros.simulation.stepper import TOLERANCE, StepReport
 from defgrasp_ros.simulation.types import mat33d, mat43d, vec3d
@@ -137,13 +137,26 @@ class Simulator:
         for shard, entries, places in self._parts(worlds):
             set_entries(shard.state.start_velocity, entries, velocity[places])
 
-    def copy_world(self, source: int, worlds: np.ndarray) -> None:
-        """Give some worlds the motion and the contacts of another."""
-        ((origin, entry, _),) = self._parts(np.array([source]))
-        state, contacts = origin.state.motion_of(entry[0]), origin.contacts.contacts_of(entry[0])
+    def freeze_fingers(self, worlds: np.ndarray) -> None:
+        """Hold the fingers where they are, whatever force that takes; ``place_gripper`` frees them."""
         for shard, entries, _ in self._parts(worlds):
-            shard.state.set_motion(entries, state)
-            shard.contacts.set_contacts(entries, contacts)
+            set_entries(shard.state.finger_damping, entries, np.inf)
+
+    def remove_platform(self, worlds: np.ndarray) -> None:
+        """Take the platform away."""
+        for shard, entries, _ in self._parts(worlds):
+            set_entries(shard.state.bodies.enabled, (entries, contact.PLATFORM), 0)
+
+    def save(self, world: int) -> WorldSnapshot:
+        """Return all that is known about a world: motion, contacts, bodies, gravity."""
+        ((shard, (entry,), _),) = self._parts(np.array([world]))
+        return shard.snapshot(entry)
+
+    def load(self, worlds: np.ndarray, snapshots: Sequence[WorldSnapshot]) -> None:
+        """Make each world what was saved in the snapshot at its place."""
+        for shard, entries, places in self._parts(worlds):
+            for entry, place in zip(entries, places, strict=True):
+                shard.restore(entry, snapshots[place])
 
     # --- stepping -----------------------------------------------------------------------------------------------
 
@@ -238,6 +251,10 @@ class Simulator:
     def normal_forces(self, worlds: np.ndarray) -> np.ndarray:
         """Sum of the normal forces of left pad, right pad and platform [N], shape ``(n, 3)``."""
         return self._collect(worlds, lambda shard, entries: shard.contacts.normal_forces(entries))
+
+    def sliding(self, worlds: np.ndarray) -> np.ndarray:
+        """Whether each pad touches and all of its loaded points have used up their friction, shape ``(n, 2)``."""
+        return self._collect(worlds, lambda shard, entries: shard.contacts.sliding(entries))
 
     def contact_forces(self, worlds: np.ndarray) -> list[ContactForces]:
         """The contact points that carry more force than the solver's tolerance, per world."""
