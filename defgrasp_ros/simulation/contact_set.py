@@ -167,9 +167,8 @@ class ContactSet:
                 break
             capacity = needed
         listed = (np.arange(capacity) < every.count.numpy()[:, None]) & (every.key.numpy() >= 0)
-        axis = np.where(listed, every.axis.numpy()[:, :, 0], 1.0)
-        along_axis = np.where(listed, gap.numpy() / axis, np.inf).min(axis=1, initial=np.inf)
-        return along_axis.reshape(-1, faces.BODY_COUNT)[:, [faces.LEFT_PAD, faces.RIGHT_PAD]]
+        smallest = np.where(listed, gap.numpy(), np.inf).min(axis=1, initial=np.inf)
+        return smallest.reshape(-1, faces.BODY_COUNT)[:, [faces.LEFT_PAD, faces.RIGHT_PAD]]
 
     def _scene(self, displacement: wp.array) -> detection.Scene:
         scene, model = detection.Scene(), self._model

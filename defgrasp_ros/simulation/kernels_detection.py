@@ -263,8 +263,9 @@ def propose(
     p = candidate.place
     h = drop(scene.faces, body, vec2d(p[0], p[1]))
     outward_here = scene.bodies.frame[world, body] * candidate.outward
-    gap = (p[2] + h[0]) / wp.sqrt(wp.float64(1.0) + h[1] * h[1] + h[2] * h[2])
-    if gap > margin or p[2] + h[0] < -scene.faces.depth[body]:
+    gap = p[2] + h[0]
+    distance = gap / wp.sqrt(wp.float64(1.0) + h[1] * h[1] + h[2] * h[2])
+    if distance > margin or gap < -scene.faces.depth[body]:
         return count
     if outward_here[0] + h[1] * outward_here[1] + h[2] * outward_here[2] >= wp.float64(0.0):
         return count
@@ -514,9 +515,9 @@ def propose_contacts(
     worlds: wp.array[int],  # (row,)
     # Out:
     proposed: ContactList,  # row: body + BODY_COUNT * row of worlds
-    gap_out: wp.array2d[wp.float64],  # [m]
+    gap_out: wp.array2d[wp.float64],  # along the normal of the face [m]
 ):
-    """List the candidates of each world and body with a gap below the margin, in ascending order of their keys."""
+    """List the candidates of each world and body nearer than the margin, in ascending order of their keys."""
     i, body = wp.tid()
     w = worlds[i]
     row = wp.static(BODY_COUNT) * i + body
@@ -550,7 +551,7 @@ def join_bodies(
     worlds: wp.array[int],  # (row,)
     # Out:
     found: ContactList,
-    gap_out: wp.array2d[wp.float64],  # (world, contact) [m]
+    gap_out: wp.array2d[wp.float64],  # (world, contact): along the normal of the face [m]
 ):
     """Put the candidates of all bodies of a world into one list; a count above the capacity tells to grow."""
     i = wp.tid()
@@ -572,7 +573,7 @@ def carry_forces(
     scene: Scene,
     worlds: wp.array[int],  # (row,)
     former: ContactList,
-    found_gap: wp.array2d[wp.float64],  # (world, contact) [m]
+    found_gap: wp.array2d[wp.float64],  # (world, contact): along the normal of the face [m]
     penetration: wp.float64,  # [m]
     # In and out:
     found: ContactList,
@@ -602,7 +603,7 @@ def carry_forces(
                 touch(scene, w, body, x, to_face(scene.bodies, w, body, x), found, w, c)
                 if wp.max(wp.abs(found.axis[w, c] - former.axis[w, k])) < KEPT_TILT:
                     same += 1
-        elif found_gap[w, c] < -penetration:
+        elif found.axis[w, c][0] * found_gap[w, c] < -penetration:
             missing += 1
     if same != found.count[w] or found.count[w] != former.count[w]:
         compliance_is_stale[w] = 1
