@@ -49,7 +49,7 @@ class ContactSet:
         self._margin = MARGIN * model.mean_edge
         self._penetration = PENETRATION * size
         self._normal = wp.zeros((world_count, model.node_count), dtype=vec3d, device=device)
-        self._outside = wp.zeros((world_count, model.node_count), dtype=int, device=device)
+        self._places = wp.zeros((world_count, model.node_count), dtype=int, device=device)
         feature_count = sum(len(a) for a in (model.surface.nodes, model.surface.edges, model.surface.triangles))
         chunk_count = -(-feature_count // detection.CHUNK)
         self._near = wp.zeros((world_count, faces.BODY_COUNT, chunk_count), dtype=wp.uint64, device=device)
@@ -174,7 +174,7 @@ class ContactSet:
         scene, model = detection.Scene(), self._model
         scene.surface, scene.faces, scene.bodies = model.surface, model.faces, self._state.bodies
         scene.rest, scene.displacement = model.vertices, displacement
-        scene.normal, scene.outside = self._normal, self._outside
+        scene.normal, scene.places = self._normal, self._places
         return scene
 
     def _screen(self, scene: detection.Scene, rows: wp.array, margin: float) -> None:
@@ -282,7 +282,8 @@ class ContactSet:
         count, body = self.lists.count.numpy()[worlds], self.lists.body.numpy()[worlds]
         force = np.einsum("ncj,ncj->nc", self.lists.axis.numpy()[worlds], self.lists.force.numpy()[worlds])
         listed = np.arange(self.capacity) < count[:, None]
-        return np.stack([np.where(listed & (body == b), force, 0.0).sum(axis=1) for b in range(faces.BODY_COUNT)], axis=1)
+        bodies = range(faces.BODY_COUNT)
+        return np.stack([np.where(listed & (body == b), force, 0.0).sum(axis=1) for b in bodies], axis=1)
 
     def _scatter(self, rows: wp.array, nodal_force: wp.array) -> None:
         inputs = [self.lists, rows, self._force, nodal_force]
