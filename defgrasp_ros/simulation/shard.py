@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from defgrasp_ros.simulation import kernels_contact as contact
+from defgrasp_ros.simulation import kernels_faces as faces
 from defgrasp_ros.simulation.contact_set import ContactSet
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.shared_compliance import ComplianceCache
@@ -72,7 +72,7 @@ class Shard:
                 state.closing_force, worlds[some], start_force[some] + share * (closing_force - start_force)[some]
             )
             heights = start_height[some] + share * (platform_height - start_height)[some]
-            set_entries(state.bodies.base, (worlds[some], contact.PLATFORM), heights)
+            set_entries(state.bodies.base, (worlds[some], faces.PLATFORM), heights)
             compliance = self._compliances[step_length / pieces]
             scale = self.force_scale[worlds[some]]
             return self._stepper.step(worlds[some], compliance, scale, quasi_static=quasi_static)
@@ -85,7 +85,7 @@ class Shard:
             self._advance_in_pieces(worlds, failed, cut, advance, report)
         bad = ~report.converged
         set_entries(state.closing_force, worlds[bad], start_force[bad])
-        set_entries(state.bodies.base, (worlds[bad], contact.PLATFORM), start_height[bad])
+        set_entries(state.bodies.base, (worlds[bad], faces.PLATFORM), start_height[bad])
         return report
 
     def _advance_in_pieces(self, worlds: np.ndarray, failed: np.ndarray, cut: int, advance, report: StepReport) -> None:

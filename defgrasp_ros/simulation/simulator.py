@@ -1,4 +1,4 @@
-"""Many worlds of one deformable object between two pads over a platform.
+"""Many worlds of one deformable object between two pads, over a platform, in front of a palm.
 
 The hand stands still in the object frame; only the pads slide along the closing axis and the platform sinks.
 How a step is solved is in :mod:`stepper`.
@@ -18,8 +18,8 @@ from defgrasp_ros.errors import NotFoundError
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.simulation import kernels_contact as contact
 from defgrasp_ros.simulation import kernels_elasticity as elastic
+from defgrasp_ros.simulation import kernels_faces as faces
 from defgrasp_ros.simulation.contact_forces import ContactForces
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.rest_system import RestSystem
@@ -86,8 +86,8 @@ class Simulator:
     def place_platform(self, worlds: np.ndarray, height: float) -> None:
         """Put the platform's surface at z = ``height`` [m]."""
         for shard, entries, _ in self._parts(worlds):
-            set_entries(shard.state.bodies.enabled, (entries, contact.PLATFORM), 1)
-            set_entries(shard.state.bodies.base, (entries, contact.PLATFORM), height)
+            set_entries(shard.state.bodies.enabled, (entries, faces.PLATFORM), 1)
+            set_entries(shard.state.bodies.base, (entries, faces.PLATFORM), height)
 
     def place_gripper(
         self, worlds: np.ndarray, grasps: list[Grasp], opening: np.ndarray, full_force: np.ndarray
@@ -103,13 +103,16 @@ class Simulator:
         rotation = np.array([g.rotation for g in grasps])
         origin = np.array([g.position for g in grasps])
         x, y, z = rotation[:, :, 0], rotation[:, :, 1], rotation[:, :, 2]
+        placed = [(faces.LEFT_PAD, (-y, x, z), 0.0), (faces.RIGHT_PAD, (y, x, z), 0.0)]
+        if self.gripper.palm:
+            placed.append((faces.PALM, (z, x, y), self.gripper.palm.face))
         for shard, entries, places in self._parts(worlds):
             state, bodies = shard.state, shard.state.bodies
-            for pad, normal in ((contact.LEFT_PAD, -y), (contact.RIGHT_PAD, y)):
-                frame, base = np.stack([normal, x, z], axis=1), np.einsum("ij,ij->i", normal, origin)
-                set_entries(bodies.enabled, (entries, pad), 1)
-                set_entries(bodies.frame, (entries, pad), frame[places])
-                set_entries(bodies.base, (entries, pad), base[places])
+            for body, frame, height in placed:
+                base = np.einsum("ij,ij->i", frame[0], origin) + height
+                set_entries(bodies.enabled, (entries, body), 1)
+                set_entries(bodies.frame, (entries, body), np.stack(frame, axis=1)[places])
+                set_entries(bodies.base, (entries, body), base[places])
             set_entries(bodies.origin, entries, origin[places])
             set_entries(bodies.opening, entries, opening[places])
             set_entries(state.start_opening, entries, opening[places])
@@ -212,13 +215,13 @@ class Simulator:
 
     def opening_velocities(self, worlds: np.ndarray) -> np.ndarray:
         """Rate of the opening that the finger law gives for the present forces [m/s], shape ``(n,)``."""
-        pads = self.normal_forces(worlds)[:, : contact.PLATFORM].sum(axis=1)
+        pads = self.normal_forces(worlds)[:, : faces.PLATFORM].sum(axis=1)
         force = self._collect(worlds, lambda shard, entries: shard.state.closing_force.numpy()[entries])
         damping = self._collect(worlds, lambda shard, entries: shard.state.finger_damping.numpy()[entries])
         return (pads - force) / damping
 
     def pad_gaps(self, worlds: np.ndarray) -> np.ndarray:
-        """Distance of each pad face from the surface in front of it [m], shape ``(n, 2)``; inf where there is none."""
+        """How far each pad can close before it touches the surface [m], shape ``(n, 2)``; inf where it never does."""
         reach = 2.0 * self.gripper.max_opening
         return self._collect(worlds, lambda shard, entries: shard.contacts.pad_gaps(self._rows(entries), reach))
 
@@ -249,7 +252,10 @@ class Simulator:
         return self._rows(np.arange(len(worlds))), wp.array(displacement, dtype=vec3d, device=self._device)
 
     def normal_forces(self, worlds: np.ndarray) -> np.ndarray:
-        """Sum of the normal forces of left pad, right pad and platform [N], shape ``(n, 3)``."""
+        """Force of left pad, right pad, platform and palm along their faces' normals [N], shape ``(n, 4)``.
+
+        The sum of both pads is what balances the closing force.
+        """
         return self._collect(worlds, lambda shard, entries: shard.contacts.normal_forces(entries))
 
     def sliding(self, worlds: np.ndarray) -> np.ndarray:
