@@ -228,7 +228,7 @@ class DeformedState:
     positions: np.ndarray
     """Nodes in the object frame [m], shape ``(node, 3)``."""
     von_mises_stress: np.ndarray
-    """Per element [Pa], shape ``(tet,)``."""
+    """Per element, the largest of its stress points [Pa], shape ``(tet,)``; one point at order 1, four at order 2."""
     opening: float = NAN
     """Distance of each pad face from the grasp frame's origin [m]; nan before the gripper is there."""
 

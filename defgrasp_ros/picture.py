@@ -172,9 +172,7 @@ class _Scene:
         """Von Mises stress [Pa], mean of the adjacent elements weighted by volume, shape ``(node,)``."""
         if self.stage is None:
             return None
-        mesh = self.object_model.mesh
-        weighted = np.repeat(mesh.volumes * self.evaluation.fields[self.stage].von_mises_stress / 4.0, 4)
-        return np.bincount(mesh.tetrahedra.ravel(), weighted, minlength=len(mesh.vertices)) / mesh.node_volumes
+        return self.object_model.mesh.nodal_mean(self.evaluation.fields[self.stage].von_mises_stress)
 
     @property
     def fingers(self) -> list[np.ndarray]:

@@ -78,7 +78,9 @@ def settle(simulator: Simulator, world: int, step_length: float) -> SettledObjec
 def deformed_state(simulator: Simulator, world: int) -> DeformedState:
     """Return the present fields of one world."""
     here = np.array([world])
-    stress, _ = simulator.stresses(here)
+    stress, _ = simulator.point_stresses(here)
     return DeformedState(
-        simulator.positions(here)[0].copy(), von_mises_stress(stress[0]), float(simulator.openings(here)[0])
+        simulator.positions(here)[0].copy(),
+        von_mises_stress(stress[0]).max(axis=1),
+        float(simulator.openings(here)[0]),
     )

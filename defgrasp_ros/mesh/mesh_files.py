@@ -17,7 +17,9 @@ MESH_FORMATS = ("tet", *SURFACE_FORMATS, "msh")
 """What can be read: tetrahedra as of DefGraspSim (tet) and Gmsh (msh), surfaces in the others."""
 
 
-def read_mesh(path: Path | str, *, scale: float = 1.0, target_edge_length: float | None = None) -> TetMesh:
+def read_mesh(
+    path: Path | str, *, scale: float = 1.0, target_edge_length: float | None = None, element_order: int = 1
+) -> TetMesh:
     """Read an object from a file; a surface is filled with tetrahedra.
 
     Args:
@@ -25,6 +27,7 @@ def read_mesh(path: Path | str, *, scale: float = 1.0, target_edge_length: float
         scale: Factor from the file's unit to metres, e.g. 0.001 for millimetres.
         target_edge_length: Edge length of tetrahedra made here [m]; None: for about 1 000 nodes. Tetrahedra that
             the file holds are taken as they are.
+        element_order: 1 or 2, see :class:`TetMesh`.
 
     Raises:
         NotFoundError: If there is no such file.
@@ -34,8 +37,9 @@ def read_mesh(path: Path | str, *, scale: float = 1.0, target_edge_length: float
     path = Path(path)
     if not path.is_file():
         raise NotFoundError(f"mesh file '{path}' does not exist" if not path.exists() else f"'{path}' is not a file")
+    options = {"scale": scale, "target_edge_length": target_edge_length, "element_order": element_order}
     try:
-        return read_mesh_bytes(path.read_bytes(), path.suffix, scale=scale, target_edge_length=target_edge_length)
+        return read_mesh_bytes(path.read_bytes(), path.suffix, **options)
     except InvalidMeshError as error:
         raise type(error)(f"{path}: {error}") from error
     except OSError as error:
@@ -43,7 +47,12 @@ def read_mesh(path: Path | str, *, scale: float = 1.0, target_edge_length: float
 
 
 def read_mesh_bytes(
-    data: bytes, format: str, *, scale: float = 1.0, target_edge_length: float | None = None
+    data: bytes,
+    format: str,
+    *,
+    scale: float = 1.0,
+    target_edge_length: float | None = None,
+    element_order: int = 1,
 ) -> TetMesh:
     """Read an object from the contents of a file.
 
@@ -52,6 +61,7 @@ def read_mesh_bytes(
         format: One of ``MESH_FORMATS``, in capitals or not, with or without the dot of an extension.
         scale: As in ``read_mesh``.
         target_edge_length: As in ``read_mesh``.
+        element_order: As in ``read_mesh``.
 
     Raises:
         InvalidMeshError: As in ``read_mesh``.
@@ -62,11 +72,12 @@ def read_mesh_bytes(
     if not data:
         raise InvalidMeshError("the mesh is empty: 0 bytes")
     if format == "tet":
-        return mesh_from_tetrahedra(*_parse_tet(data), scale=scale)
+        return mesh_from_tetrahedra(*_parse_tet(data), scale=scale, element_order=element_order)
     vertices, cells = _parse_msh(data) if format == "msh" else _parse_surface(data, format)
     if cells.shape[1] == 4:
-        return mesh_from_tetrahedra(vertices, cells, scale=scale)
-    return mesh_from_surface(vertices, cells, scale=scale, target_edge_length=target_edge_length)
+        return mesh_from_tetrahedra(vertices, cells, scale=scale, element_order=element_order)
+    options = {"target_edge_length": target_edge_length, "element_order": element_order}
+    return mesh_from_surface(vertices, cells, scale=scale, **options)
 
 
 def _parse_tet(data: bytes) -> tuple[np.ndarray, np.ndarray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -24,6 +25,9 @@ SPECK_FRACTION = 0.01
 POOR_DIHEDRAL_ANGLE = np.radians(2.0)
 """Elements with a smaller angle [rad] are reported: they spoil the solution around them."""
 
+MAX_NODES = 7_000
+"""Each dense inverse of the simulation takes 3.5 GB with so many; elements of order 2 reach it first."""
+
 logger = logging.getLogger(__name__)
 
 
@@ -33,6 +37,7 @@ def mesh_from_surface(
     *,
     scale: float = 1.0,
     target_edge_length: float | None = None,
+    element_order: int = 1,
 ) -> TetMesh:
     """Return the solid inside a surface.
 
@@ -41,6 +46,7 @@ def mesh_from_surface(
         triangles: Vertex indices, shape ``(triangle, 3)``; the surface must be closed.
         scale: Factor to metres, e.g. 0.001 for millimetres.
         target_edge_length: Edge length of the tetrahedra [m]; None: for about 1 000 nodes.
+        element_order: 1 or 2, see :class:`TetMesh`.
 
     Raises:
         InvalidMeshError: If the surface is no solid of plausible size; of a class that says which fault it is.
@@ -48,16 +54,20 @@ def mesh_from_surface(
     vertices = _scaled(vertices, scale)
     _require_plausible_size(vertices)
     surface = closed_surface(vertices, triangles)
-    return _checked(tetrahedralize(surface.vertices, surface.faces, target_edge_length))
+    mesh = tetrahedralize(surface.vertices, surface.faces, target_edge_length, element_order)
+    return _checked(mesh, element_order)
 
 
-def mesh_from_tetrahedra(vertices: np.ndarray, tetrahedra: np.ndarray, *, scale: float = 1.0) -> TetMesh:
+def mesh_from_tetrahedra(
+    vertices: np.ndarray, tetrahedra: np.ndarray, *, scale: float = 1.0, element_order: int = 1
+) -> TetMesh:
     """Return ready tetrahedra as they are, checked.
 
     Args:
         vertices: Positions, in metres after multiplication with ``scale``, shape ``(vertex, 3)``.
         tetrahedra: Vertex indices, shape ``(tet, 4)``.
         scale: Factor to metres, e.g. 0.001 for millimetres.
+        element_order: 1 or 2; order 2 adds the middles of the edges to the given vertices.
 
     Raises:
         InvalidMeshError: If they are no solid of plausible size.
@@ -68,7 +78,7 @@ def mesh_from_tetrahedra(vertices: np.ndarray, tetrahedra: np.ndarray, *, scale:
         )
     vertices = _scaled(vertices, scale)
     _require_plausible_size(vertices)
-    return _checked(TetMesh(vertices, tetrahedra))
+    return _checked(TetMesh(vertices, tetrahedra), element_order)
 
 
 def _scaled(vertices: np.ndarray, scale: float) -> np.ndarray:
@@ -88,12 +98,17 @@ def _require_plausible_size(vertices: np.ndarray) -> None:
         )
 
 
-def _checked(mesh: TetMesh) -> TetMesh:
-    mesh = _largest_body(mesh)
+def _checked(mesh: TetMesh, element_order: int) -> TetMesh:
+    mesh = replace(_largest_body(mesh), element_order=element_order)
     if len(mesh.tetrahedra) > MAX_TETRAHEDRA:
         raise MeshTooLargeError(
             f"the mesh has {len(mesh.tetrahedra)} tetrahedra, more than {MAX_TETRAHEDRA}; "
             "give a larger target_edge_length"
+        )
+    if len(mesh.vertices) > MAX_NODES:
+        raise MeshTooLargeError(
+            f"the mesh has {len(mesh.vertices)} nodes at element_order = {mesh.element_order}, more than {MAX_NODES}; "
+            "mesh it coarser"
         )
     angles = dihedral_angles(mesh).min(axis=1)
     poor = angles < POOR_DIHEDRAL_ANGLE

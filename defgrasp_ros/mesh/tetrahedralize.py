@@ -33,6 +33,9 @@ MAX_TETRAHEDRA = 20_000
 DEFAULT_TETRAHEDRA, DEFAULT_BOUNDARY_FACES = 3_000, 2_000
 """Size aimed at where no edge length is asked for: of a compact body, and of a thin one; about 1 000 nodes."""
 
+EDGE_BY_ORDER = {1: 1.0, 2: 2.5}
+"""Edge lengths with which elements of both orders have about as many nodes, those of order 1 being 1."""
+
 TRIANGLES_PER_FACE = 3
 """Triangles kept for each boundary face of the mesh to come."""
 
@@ -69,13 +72,16 @@ REGULAR_TETRAHEDRON = 1.0 / (6.0 * 2.0**0.5)
 WORKER = Path(__file__).with_name("tetwild_worker.py")
 
 
-def tetrahedralize(vertices: np.ndarray, triangles: np.ndarray, target_edge_length: float | None = None) -> TetMesh:
+def tetrahedralize(
+    vertices: np.ndarray, triangles: np.ndarray, target_edge_length: float | None = None, element_order: int = 1
+) -> TetMesh:
     """Fill a closed surface with tetrahedra; equal input gives equal output.
 
     Args:
         vertices: Positions [m], shape ``(vertex, 3)``.
         triangles: Vertex indices, counter-clockwise from outside, shape ``(triangle, 3)``, without boundary.
         target_edge_length: Edge length of the elements [m]; None: from the volume, for about 1 000 nodes.
+        element_order: Of the elements that the mesh is for; order 2 has more nodes to an edge, so the edges are longer.
 
     Raises:
         MeshTooLargeError: If the edge length asks for more elements than ``MAX_TETRAHEDRA``.
@@ -86,9 +92,10 @@ def tetrahedralize(vertices: np.ndarray, triangles: np.ndarray, target_edge_leng
     surface = trimesh.Trimesh(vertices, triangles, process=False)
     volume, area = float(surface.volume), float(surface.area)
     if target_edge_length is None:
-        target_edge_length = max(
+        edge_length = max(
             _edge_length(volume, DEFAULT_TETRAHEDRA), (area / (REGULAR_TRIANGLE * DEFAULT_BOUNDARY_FACES)) ** 0.5
         )
+        target_edge_length = EDGE_BY_ORDER[element_order] * edge_length
     check = require_in_range
     check(
         InvalidMeshError, "target_edge_length", target_edge_length, 0.0, surface.extents.max(), low_open=True, unit="m"

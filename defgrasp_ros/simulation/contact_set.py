@@ -8,9 +8,9 @@ import warp as wp
 from defgrasp_ros.simulation import kernels_contact as contact
 from defgrasp_ros.simulation import kernels_coulomb as coulomb
 from defgrasp_ros.simulation import kernels_detection as detection
+from defgrasp_ros.simulation import kernels_faces as faces
 from defgrasp_ros.simulation.contact_forces import SLIPPING_SHARE, ContactForces
 from defgrasp_ros.simulation.coulomb import ContactProblem, solve_contacts
-from defgrasp_ros.simulation import kernels_faces as faces
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
 from defgrasp_ros.simulation.types import mat33d, vec3d

@@ -119,9 +119,7 @@ def semismooth_newton(
     return force, problem.residual(force, motion)
 
 
-def _newton_direction(
-    problem: ContactProblem, scale: float, trial: np.ndarray, value: np.ndarray
-) -> np.ndarray | None:
+def _newton_direction(problem: ContactProblem, scale: float, trial: np.ndarray, value: np.ndarray) -> np.ndarray | None:
     """Solve the linearised system; contacts that are open at ``trial`` just give up their force.
 
     Args:

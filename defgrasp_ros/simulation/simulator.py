@@ -18,7 +18,6 @@ from defgrasp_ros.errors import NotFoundError
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.simulation import kernels_elasticity as elastic
 from defgrasp_ros.simulation import kernels_faces as faces
 from defgrasp_ros.simulation.contact_forces import ContactForces
 from defgrasp_ros.simulation.device_model import DeviceModel
@@ -26,7 +25,7 @@ from defgrasp_ros.simulation.rest_system import RestSystem
 from defgrasp_ros.simulation.shard import Shard, WorldSnapshot
 from defgrasp_ros.simulation.shared_compliance import ComplianceCache
 from defgrasp_ros.simulation.stepper import TOLERANCE, StepReport
-from defgrasp_ros.simulation.types import mat33d, mat43d, vec3d
+from defgrasp_ros.simulation.types import mat33d, vec3d
 from defgrasp_ros.simulation.world_state import set_entries
 
 
@@ -148,7 +147,7 @@ class Simulator:
     def remove_platform(self, worlds: np.ndarray) -> None:
         """Take the platform away."""
         for shard, entries, _ in self._parts(worlds):
-            set_entries(shard.state.bodies.enabled, (entries, contact.PLATFORM), 0)
+            set_entries(shard.state.bodies.enabled, (entries, faces.PLATFORM), 0)
 
     def save(self, world: int) -> WorldSnapshot:
         """Return all that is known about a world: motion, contacts, bodies, gravity."""
@@ -226,24 +225,41 @@ class Simulator:
         return self._collect(worlds, lambda shard, entries: shard.contacts.pad_gaps(self._rows(entries), reach))
 
     def stresses(self, worlds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Stress tensors in the elements' frames [Pa], ``(n, tet, 3, 3)``, and strain energies [J], ``(n, tet)``."""
-        model, shape = self._constants, (len(worlds), self._constants.tet_count)
-        stress = wp.zeros(shape, dtype=mat33d, device=self._device)
-        density = wp.zeros(shape, dtype=wp.float64, device=self._device)
-        inputs = [model.tetrahedra, model.gradients, model.lame, *self._displacement_rows(worlds)]
-        wp.launch(elastic.element_stress, dim=shape, inputs=inputs, outputs=[stress, density], device=self._device)
-        return stress.numpy(), density.numpy() * self.model.mesh.volumes
+        """Mean stress of each element [Pa], ``(n, tet, 3, 3)``, and strain energies [J], ``(n, tet)``.
+
+        The mean of ``point_stresses``, so in the frame that turns with the material.
+        """
+        stress, energy = self.point_stresses(worlds)
+        return stress.mean(axis=2), energy
+
+    def point_stresses(self, worlds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Stress at each quadrature point [Pa], ``(n, tet, point, 3, 3)``, and strain energies [J], ``(n, tet)``.
+
+        One point in an element of order 1, four in one of order 2. The tensors are in the points' rotated frames: they
+        turn with the material.
+        """
+        model, count = self._constants, len(worlds)
+        stress = wp.zeros((count, model.tet_count * model.point_count), dtype=mat33d, device=self._device)
+        density = wp.zeros((count, model.tet_count), dtype=wp.float64, device=self._device)
+        inputs = [model.elements, model.gradients, model.lame, *self._displacement_rows(worlds)]
+        wp.launch(
+            model.kernels.stresses, dim=density.shape, inputs=inputs, outputs=[stress, density], device=self._device
+        )
+        tensors = stress.numpy().reshape(count, model.tet_count, model.point_count, 3, 3)
+        return tensors, density.numpy() * self.model.mesh.volumes
 
     def elastic_forces(self, worlds: np.ndarray) -> np.ndarray:
         """Elastic force on each node [N], shape ``(n, node, 3)``."""
-        model, shape = self._constants, (len(worlds), self._constants.tet_count)
-        rotation = wp.zeros(shape, dtype=mat33d, device=self._device)
-        force = wp.zeros(shape, dtype=mat43d, device=self._device)
-        inputs = [model.tetrahedra, model.gradients, model.volumes, model.lame, *self._displacement_rows(worlds)]
-        wp.launch(elastic.element_forces, dim=shape, inputs=inputs, outputs=[rotation, force], device=self._device)
-        total = np.zeros((len(worlds), model.node_count, 3))
-        for row, corners in enumerate(force.numpy()):
-            np.add.at(total[row], self.model.mesh.tetrahedra, corners)
+        model, count = self._constants, len(worlds)
+        rotation = wp.zeros((count, model.tet_count), dtype=mat33d, device=self._device)
+        force = wp.zeros((count, model.entry_count), dtype=vec3d, device=self._device)
+        inputs = [model.elements, model.gradients, model.volumes, model.lame, *self._displacement_rows(worlds)]
+        wp.launch(
+            model.kernels.forces, dim=rotation.shape, inputs=inputs, outputs=[rotation, force], device=self._device
+        )
+        total = np.zeros((count, model.node_count, 3))
+        for row, entries in enumerate(force.numpy()):
+            np.add.at(total[row], self.model.mesh.elements.ravel(), entries)
         return total
 
     def _displacement_rows(self, worlds: np.ndarray) -> tuple[wp.array, wp.array]:

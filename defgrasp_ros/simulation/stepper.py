@@ -29,7 +29,7 @@ from defgrasp_ros.simulation.contact_set import ContactSet
 from defgrasp_ros.simulation.dense import multiply_rows
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
-from defgrasp_ros.simulation.types import mat33d, mat43d, vec3d
+from defgrasp_ros.simulation.types import mat33d, vec3d
 from defgrasp_ros.simulation.world_state import WorldState, set_entries
 
 wp.set_module_options({"enable_backward": False})
@@ -100,7 +100,7 @@ class Stepper:
             return wp.zeros((world_count, columns), dtype=dtype, device=device)
 
         self._element_rotation = zeros(model.tet_count, mat33d)
-        self._element_force = zeros(model.tet_count, mat43d)
+        self._element_force = zeros(model.entry_count, vec3d)
         self._node_rotation = zeros(model.node_count, mat33d)
         self._start_rotation = zeros(model.node_count, mat33d)
         self._residual, self._correction, self._turned, self._product = (
@@ -190,16 +190,24 @@ class Stepper:
         """Leave the nodal residual in its buffer; return the worse of nodal and contact residual [N]."""
         model, state, count = self._model, self._state, rows.shape[0]
         self._launch(
-            elastic.element_forces,
+            model.kernels.forces,
             (count, model.tet_count),
-            [model.tetrahedra, model.gradients, model.volumes, model.lame, rows, state.displacement],
+            [model.elements, model.gradients, model.volumes, model.lame, rows, state.displacement],
             [self._element_rotation, self._element_force],
+        )
+        nodes, acceleration = (count, model.node_count), self._product
+        self._launch(
+            elastic.missing_acceleration,
+            nodes,
+            [shared.step_length, rows, state.gravity, state.start_displacement, state.start_velocity]
+            + [state.displacement],
+            [acceleration],
         )
         self._launch(
             elastic.dynamic_residual,
-            (count, model.node_count),
-            [model.incidence_start, model.incidence_tet, model.incidence_corner, model.mass, shared.step_length, rows]
-            + [state.gravity, state.start_displacement, state.start_velocity, state.displacement, self._element_force],
+            nodes,
+            [model.incidence_start, model.incidence_entry, model.mass_start, model.mass_node, model.mass]
+            + [acceleration, self._element_force],
             [self._residual],
         )
         self._refresh_rotations(rows, shared)
