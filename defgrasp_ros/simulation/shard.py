@@ -3,10 +3,12 @@ the work."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import warp as wp
 
-from defgrasp_ros.simulation import kernels_contact as contact
+from defgrasp_ros.simulation import kernels_faces as faces
 from defgrasp_ros.simulation.contact_set import ContactSet
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.shared_compliance import ComplianceCache
@@ -19,6 +21,15 @@ MAX_CUTS = 2
 """How often a step may be cut before its world is given up."""
 
 
+@dataclass(frozen=True, eq=False)
+class WorldSnapshot:
+    """One world at one instant, on the host; other worlds can go on from there."""
+
+    state: list[np.ndarray]
+    contacts: dict[str, np.ndarray]
+    force_scale: float
+
+
 class Shard:
     """State, contacts and stepping of ``world_count`` worlds; indices of worlds are its own, from 0."""
 
@@ -29,6 +40,16 @@ class Shard:
         self.force_scale = np.zeros(world_count)
         """Force to which residuals are compared [N]."""
         self._stepper = Stepper(model, self.state, self.contacts, world_count, device)
+
+    def snapshot(self, world: int) -> WorldSnapshot:
+        """Return all that is known about a world."""
+        return WorldSnapshot(self.state.snapshot(world), self.contacts.snapshot(world), self.force_scale[world])
+
+    def restore(self, world: int, snapshot: WorldSnapshot) -> None:
+        """Make a world what another was."""
+        self.state.restore(world, snapshot.state)
+        self.contacts.restore(world, snapshot.contacts)
+        self.force_scale[world] = snapshot.force_scale
 
     def step(
         self,
@@ -51,7 +72,7 @@ class Shard:
                 state.closing_force, worlds[some], start_force[some] + share * (closing_force - start_force)[some]
             )
             heights = start_height[some] + share * (platform_height - start_height)[some]
-            set_entries(state.bodies.base, (worlds[some], contact.PLATFORM), heights)
+            set_entries(state.bodies.base, (worlds[some], faces.PLATFORM), heights)
             compliance = self._compliances[step_length / pieces]
             scale = self.force_scale[worlds[some]]
             return self._stepper.step(worlds[some], compliance, scale, quasi_static=quasi_static)
@@ -64,7 +85,7 @@ class Shard:
             self._advance_in_pieces(worlds, failed, cut, advance, report)
         bad = ~report.converged
         set_entries(state.closing_force, worlds[bad], start_force[bad])
-        set_entries(state.bodies.base, (worlds[bad], contact.PLATFORM), start_height[bad])
+        set_entries(state.bodies.base, (worlds[bad], faces.PLATFORM), start_height[bad])
         return report
 
     def _advance_in_pieces(self, worlds: np.ndarray, failed: np.ndarray, cut: int, advance, report: StepReport) -> None:

@@ -1,4 +1,4 @@
-"""Many worlds of one deformable object between two pads over a platform.
+"""Many worlds of one deformable object between two pads, over a platform, in front of a palm.
 
 The hand stands still in the object frame; only the pads slide along the closing axis and the platform sinks.
 How a step is solved is in :mod:`stepper`.
@@ -7,7 +7,7 @@ How a step is solved is in :mod:`stepper`.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -18,11 +18,11 @@ from defgrasp_ros.errors import NotFoundError
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.simulation import kernels_contact as contact
+from defgrasp_ros.simulation import kernels_faces as faces
 from defgrasp_ros.simulation.contact_forces import ContactForces
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.rest_system import RestSystem
-from defgrasp_ros.simulation.shard import Shard
+from defgrasp_ros.simulation.shard import Shard, WorldSnapshot
 from defgrasp_ros.simulation.shared_compliance import ComplianceCache
 from defgrasp_ros.simulation.stepper import TOLERANCE, StepReport
 from defgrasp_ros.simulation.types import mat33d, vec3d
@@ -85,8 +85,8 @@ class Simulator:
     def place_platform(self, worlds: np.ndarray, height: float) -> None:
         """Put the platform's surface at z = ``height`` [m]."""
         for shard, entries, _ in self._parts(worlds):
-            set_entries(shard.state.bodies.enabled, (entries, contact.PLATFORM), 1)
-            set_entries(shard.state.bodies.base, (entries, contact.PLATFORM), height)
+            set_entries(shard.state.bodies.enabled, (entries, faces.PLATFORM), 1)
+            set_entries(shard.state.bodies.base, (entries, faces.PLATFORM), height)
 
     def place_gripper(
         self, worlds: np.ndarray, grasps: list[Grasp], opening: np.ndarray, full_force: np.ndarray
@@ -102,13 +102,16 @@ class Simulator:
         rotation = np.array([g.rotation for g in grasps])
         origin = np.array([g.position for g in grasps])
         x, y, z = rotation[:, :, 0], rotation[:, :, 1], rotation[:, :, 2]
+        placed = [(faces.LEFT_PAD, (-y, x, z), 0.0), (faces.RIGHT_PAD, (y, x, z), 0.0)]
+        if self.gripper.palm:
+            placed.append((faces.PALM, (z, x, y), self.gripper.palm.face))
         for shard, entries, places in self._parts(worlds):
             state, bodies = shard.state, shard.state.bodies
-            for pad, normal in ((contact.LEFT_PAD, -y), (contact.RIGHT_PAD, y)):
-                frame, base = np.stack([normal, x, z], axis=1), np.einsum("ij,ij->i", normal, origin)
-                set_entries(bodies.enabled, (entries, pad), 1)
-                set_entries(bodies.frame, (entries, pad), frame[places])
-                set_entries(bodies.base, (entries, pad), base[places])
+            for body, frame, height in placed:
+                base = np.einsum("ij,ij->i", frame[0], origin) + height
+                set_entries(bodies.enabled, (entries, body), 1)
+                set_entries(bodies.frame, (entries, body), np.stack(frame, axis=1)[places])
+                set_entries(bodies.base, (entries, body), base[places])
             set_entries(bodies.origin, entries, origin[places])
             set_entries(bodies.opening, entries, opening[places])
             set_entries(state.start_opening, entries, opening[places])
@@ -136,13 +139,26 @@ class Simulator:
         for shard, entries, places in self._parts(worlds):
             set_entries(shard.state.start_velocity, entries, velocity[places])
 
-    def copy_world(self, source: int, worlds: np.ndarray) -> None:
-        """Give some worlds the motion and the contacts of another."""
-        ((origin, entry, _),) = self._parts(np.array([source]))
-        state, contacts = origin.state.motion_of(entry[0]), origin.contacts.contacts_of(entry[0])
+    def freeze_fingers(self, worlds: np.ndarray) -> None:
+        """Hold the fingers where they are, whatever force that takes; ``place_gripper`` frees them."""
         for shard, entries, _ in self._parts(worlds):
-            shard.state.set_motion(entries, state)
-            shard.contacts.set_contacts(entries, contacts)
+            set_entries(shard.state.finger_damping, entries, np.inf)
+
+    def remove_platform(self, worlds: np.ndarray) -> None:
+        """Take the platform away."""
+        for shard, entries, _ in self._parts(worlds):
+            set_entries(shard.state.bodies.enabled, (entries, faces.PLATFORM), 0)
+
+    def save(self, world: int) -> WorldSnapshot:
+        """Return all that is known about a world: motion, contacts, bodies, gravity."""
+        ((shard, (entry,), _),) = self._parts(np.array([world]))
+        return shard.snapshot(entry)
+
+    def load(self, worlds: np.ndarray, snapshots: Sequence[WorldSnapshot]) -> None:
+        """Make each world what was saved in the snapshot at its place."""
+        for shard, entries, places in self._parts(worlds):
+            for entry, place in zip(entries, places, strict=True):
+                shard.restore(entry, snapshots[place])
 
     # --- stepping -----------------------------------------------------------------------------------------------
 
@@ -198,13 +214,13 @@ class Simulator:
 
     def opening_velocities(self, worlds: np.ndarray) -> np.ndarray:
         """Rate of the opening that the finger law gives for the present forces [m/s], shape ``(n,)``."""
-        pads = self.normal_forces(worlds)[:, : contact.PLATFORM].sum(axis=1)
+        pads = self.normal_forces(worlds)[:, : faces.PLATFORM].sum(axis=1)
         force = self._collect(worlds, lambda shard, entries: shard.state.closing_force.numpy()[entries])
         damping = self._collect(worlds, lambda shard, entries: shard.state.finger_damping.numpy()[entries])
         return (pads - force) / damping
 
     def pad_gaps(self, worlds: np.ndarray) -> np.ndarray:
-        """Distance of each pad face from the surface in front of it [m], shape ``(n, 2)``; inf where there is none."""
+        """How far each pad can close before it touches the surface [m], shape ``(n, 2)``; inf where it never does."""
         reach = 2.0 * self.gripper.max_opening
         return self._collect(worlds, lambda shard, entries: shard.contacts.pad_gaps(self._rows(entries), reach))
 
@@ -252,8 +268,15 @@ class Simulator:
         return self._rows(np.arange(len(worlds))), wp.array(displacement, dtype=vec3d, device=self._device)
 
     def normal_forces(self, worlds: np.ndarray) -> np.ndarray:
-        """Sum of the normal forces of left pad, right pad and platform [N], shape ``(n, 3)``."""
+        """Force of left pad, right pad, platform and palm along their faces' normals [N], shape ``(n, 4)``.
+
+        The sum of both pads is what balances the closing force.
+        """
         return self._collect(worlds, lambda shard, entries: shard.contacts.normal_forces(entries))
+
+    def sliding(self, worlds: np.ndarray) -> np.ndarray:
+        """Whether each pad touches and all of its loaded points have used up their friction, shape ``(n, 2)``."""
+        return self._collect(worlds, lambda shard, entries: shard.contacts.sliding(entries))
 
     def contact_forces(self, worlds: np.ndarray) -> list[ContactForces]:
         """The contact points that carry more force than the solver's tolerance, per world."""

@@ -6,11 +6,11 @@ import numpy as np
 import warp as wp
 
 from defgrasp_ros.object_model import STANDARD_GRAVITY
-from defgrasp_ros.simulation.kernels_contact import BODY_COUNT, PLATFORM, Bodies
+from defgrasp_ros.simulation.kernels_faces import BODY_COUNT, PLATFORM, Bodies
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
 UPWARD_FRAME = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""Contact frame of the platform: rows normal, tangent, tangent."""
+"""Frame of the platform: rows normal, and two directions along it."""
 
 
 class WorldState:
@@ -46,6 +46,7 @@ class WorldState:
         self.bodies.base = zeros((world_count, BODY_COUNT), wp.float64)
         self.bodies.origin = zeros(world_count, vec3d)
         self.bodies.opening = zeros(world_count, wp.float64)
+        self.bodies.start_opening = self.start_opening
         self.bodies.frame.assign(np.tile(UPWARD_FRAME, (world_count, BODY_COUNT, 1, 1)))
 
     @property
@@ -53,18 +54,21 @@ class WorldState:
         """The arrays that say where a world is at the start of a step."""
         return self.start_displacement, self.start_velocity, self.start_opening
 
-    def motion_of(self, world: int) -> tuple[np.ndarray, ...]:
-        """Where a world is and how it moves, to be given to others."""
-        return tuple(array.numpy()[world].copy() for array in self._nodal)
+    def snapshot(self, world: int) -> list[np.ndarray]:
+        """Return what is known about a world, on the host."""
+        return [array.numpy()[world].copy() for array in self._arrays]
 
-    def set_motion(self, worlds: np.ndarray, motion: tuple[np.ndarray, ...]) -> None:
-        """Give some worlds the motion of another."""
-        for array, values in zip(self._nodal, motion, strict=True):
-            set_entries(array, worlds, values)
+    def restore(self, world: int, snapshot: list[np.ndarray]) -> None:
+        """Give a world what was known about another."""
+        for array, values in zip(self._arrays, snapshot, strict=True):
+            set_entries(array, world, values)
 
     @property
-    def _nodal(self) -> tuple[wp.array, ...]:
-        return self.displacement, self.start_displacement, self.start_velocity, self.rotation
+    def _arrays(self) -> list[wp.array]:
+        nodal = [self.displacement, self.start_displacement, self.start_velocity, self.rotation]
+        hand = [self.finger_damping, self.closing_force, self.start_opening]
+        bodies = [self.bodies.enabled, self.bodies.frame, self.bodies.base, self.bodies.origin, self.bodies.opening]
+        return [*nodal, self.gravity, *hand, *bodies]
 
     def platform_heights(self, worlds: np.ndarray) -> np.ndarray:
         """Height of the platform's surface [m], shape ``(n,)``."""
