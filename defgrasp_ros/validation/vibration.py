@@ -45,9 +45,7 @@ def frequencies(device: str, body: tuple, name: str, cells: tuple[int, int, int]
     extents, expected = body
     material = Material(2e5, 0.3)
     speed = math.sqrt(material.youngs_modulus / material.density)
-    found = [
-        modes(block(extents, tuple(factor * n for n in cells), material), len(expected))[0] for factor in (1, 2)
-    ]
+    found = [modes(block(extents, tuple(factor * n for n in cells), material), len(expected))[0] for factor in (1, 2)]
     limit = [extrapolated(*pair) * extents[0] / (2.0 * math.pi * speed) for pair in zip(*found, strict=True)]
     source = "Ritz, Legendre polynomials of degree 12; extrapolated from two meshes, where terms above h^2 remain"
     for number, (value, reference) in enumerate(zip(limit, expected, strict=True), start=1):
@@ -73,14 +71,18 @@ def ringing(device: str) -> Iterator[Case]:
     # Implicit Euler in z = u + i v / w: z' = z / (1 + i w h).
     found = complex(displacement @ (mass * shape), velocity @ (mass * shape) / frequency) / norm
     exact = (1.0 + 0.1j) ** -steps
-    source = "implicit Euler: (1 + i w h)^-n for w h = 0.1, n = 100; 1e-3: a hundred residuals of 1e-6 m g in one direction"
+    source = (
+        "implicit Euler: (1 + i w h)^-n for w h = 0.1, n = 100; 1e-3: a hundred residuals of 1e-6 m g in one direction"
+    )
     yield relative("ringing block: amplitude after 100 steps", abs(found), abs(exact), 1e-3, source)
     turn = np.angle(found / exact) + 100.0 * math.atan(0.1)
     yield relative("ringing block: phase after 100 steps [rad]", turn, 100.0 * math.atan(0.1), 1e-3, source)
 
 
 EXPERIMENTS = (
-    Experiment("frequencies, block", partial(frequencies, body=BLOCK, name="free block", cells=(6, 4, 4), tolerance=0.02)),
+    Experiment(
+        "frequencies, block", partial(frequencies, body=BLOCK, name="free block", cells=(6, 4, 4), tolerance=0.02)
+    ),
     Experiment(
         "frequencies, beam",
         partial(frequencies, body=BEAM, name="free beam", cells=(20, 4, 4), tolerance=0.02),
