@@ -104,7 +104,7 @@ def evaluate(
 
 @app.command()
 def validate(
-    quick: Annotated[bool, typer.Option("--quick", help="Only the cases that take less than a minute together")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Only the cases that take a minute together")] = False,
     device: Annotated[str, typer.Option(help="cpu or cuda:0")] = "cpu",
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON document on standard output, and nothing else")

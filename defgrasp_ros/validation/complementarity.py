@@ -62,9 +62,7 @@ def laws(device: str, youngs_modulus: float) -> Iterator[Case]:
     name = f"laws of contact, E = {youngs_modulus:.0e} Pa".replace("e+0", "e")
     cell = EXTENTS[0] / CELLS[0]
     residual = TOLERANCE * FORCE / (youngs_modulus * cell)
-    source = (
-        "none; 1e-4 of the body's size: a crossing of edge and pad may lie 2 % of the edge beside its contact point"
-    )
+    source = "none; 1e-4 of the body's size: an edge may cross the pad's outline 2 % of it beside the contact point"
     limit = 1e-4 * model.mesh.size
     yield vanishing(f"{name}: deepest point inside a pad [m]", violations.penetration, limit, source)
     source = "zero where there is force; residual of 1e-6 of the force on ten times a cell's compliance"

@@ -81,9 +81,8 @@ def spinning_bar(device: str) -> Iterator[Case]:
     rig = Rig(model, PADS, device)
     rig.set_gravity(np.zeros(3))
     x = model.mesh.vertices
-    stretch = (
-        material.density * rate**2 / (2.0 * material.youngs_modulus) * (length**2 / 4 * x[:, 0] - x[:, 0] ** 3 / 3)
-    )
+    slope = material.density * rate**2 / (2.0 * material.youngs_modulus)
+    stretch = slope * (length**2 / 4.0 * x[:, 0] - x[:, 0] ** 3 / 3.0)
     rig.simulator.set_displacement(WORLD, np.column_stack([stretch, 0.0 * stretch, 0.0 * stretch]))
     rig.simulator.set_velocity(WORLD, np.cross([0.0, 0.0, rate], x))
     rig.step(h, steps, quasi_static=False)

@@ -19,7 +19,7 @@ FORCE = 0.2
 PULL = 0.06
 """Below the friction limit of 0.14 N [N]."""
 GRASP = Grasp(np.array([0.0003, 0.0, 0.0005]), np.array([0.0, np.sin(0.15), 0.0, np.cos(0.15)]))
-"""Turned and shifted a little: where a pad's corner lies on an edge of the mesh, rounding chooses the contact points."""
+"""Turned and shifted a little: where a pad's corner lies on an edge of the mesh, rounding chooses contact points."""
 
 
 def held_block(device: str, worlds: int) -> Rig:

@@ -22,12 +22,17 @@ ALONG_Y = Grasp(np.zeros(3), Rotation.identity().as_quat())
 
 def square_pads(half_width: float) -> Gripper:
     """A gripper with square pads centred at the grasp frame's origin, half their side in [m]."""
+    return rectangular_pads(half_width, half_width)
+
+
+def rectangular_pads(half_width: float, half_length: float) -> Gripper:
+    """A gripper with pads centred at the grasp frame's origin, half their sides along x and z in [m]."""
     return Gripper(
-        name="square pads",
+        name="centred pads",
         pad_half_width=half_width,
-        pad_bottom=-half_width,
-        pad_top=half_width,
-        tip=1.2 * half_width,
+        pad_bottom=-half_length,
+        pad_top=half_length,
+        tip=1.2 * half_length,
         finger_thickness=0.012,
         max_opening=0.05,
         max_force=100.0,
