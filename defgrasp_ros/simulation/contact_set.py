@@ -67,6 +67,7 @@ class ContactSet:
         )
         self._proposed = self._contact_list(faces.BODY_COUNT * worlds, capacity)
         self._proposed_gap = wp.zeros((faces.BODY_COUNT * worlds, capacity), dtype=wp.float64, device=device)
+        self._owned = wp.zeros((faces.BODY_COUNT * worlds, capacity), dtype=int, device=device)
         self._gap = wp.zeros((worlds, capacity), dtype=wp.float64, device=device)
         self._force = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
         self._motion = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
@@ -138,6 +139,8 @@ class ContactSet:
         while True:
             needed = self._propose(scene, rows, self._proposed, self._proposed_gap)
             if needed <= self.capacity:
+                inputs = [scene, rows, self.lists, self._proposed, self._proposed_gap]
+                self._launch(detection.drop_dependent, (rows.shape[0], faces.BODY_COUNT), inputs, [self._owned])
                 inputs = [self._proposed, self._proposed_gap, rows]
                 self._launch(detection.join_bodies, rows.shape[0], inputs, [self._found, self._gap])
                 needed = int(self._found.count.numpy()[rows.numpy()].max(initial=0))

@@ -13,7 +13,10 @@ edge over the flat part has up to two points, where it leaves it, and each may l
 has its minimum. A triangle has up to four, one for each corner of the flat part. With sharp edges these are
 the crossings of edges with the outline and the outline's corners.
 
-Points that nearly coincide would make the contact problem singular; of those the one with the smallest gap stays.
+Points that depend on each other would make the contact problem singular. Of points that nearly coincide the one with
+the smallest gap stays. Where a flat face ends inside triangles, about two edges cross its outline for each node beyond
+it: where the nodes inside touch, keeping one of these points out of the face keeps them all out. So every point on
+the flat part must bring in a node of its own, see ``drop_dependent``.
 """
 
 import warp as wp
@@ -43,6 +46,10 @@ wp.set_module_options({"enable_backward": False})
 
 SAME_POINT = wp.constant(wp.float64(0.1))
 """Points whose weights differ by less than this at every node are one."""
+FLAT = wp.constant(wp.float64(0.99))
+"""Component of the contact normal along the face's normal above which a point counts as on the flat part."""
+NO_NODE = -1
+UNDECIDED = -2
 KEPT_SHIFT = wp.constant(wp.float64(0.02))
 """A point found again with weights that changed by less than this stays where it was in the material."""
 KEPT_TILT = wp.constant(wp.float64(1e-3))
@@ -549,6 +556,88 @@ def propose_contacts(
             bits = bits >> wp.uint64(1)
             k += 1
     proposed.count[row] = count
+
+
+@wp.func
+def is_flat(contacts: ContactList, row: int, c: int) -> bool:
+    """Whether a candidate lies on the flat part of a face, or nearly so."""
+    return contacts.key[row, c] >= 0 and contacts.axis[row, c][0] > FLAT
+
+
+@wp.func
+def is_taken(contacts: ContactList, owned: wp.array2d[int], row: int, count: int, node: int) -> bool:
+    """Whether a node is a candidate itself, on the flat part, or belongs to a point that stays."""
+    for c in range(count):
+        if owned[row, c] == node:
+            return True
+        nodes = contacts.nodes[row, c]
+        if nodes[0] == node and nodes[1] == node and is_flat(contacts, row, c):
+            return True
+    return False
+
+
+@wp.func
+def is_listed(contacts: ContactList, world: int, key: int) -> bool:
+    """Whether a sorted list has an entry with this key."""
+    low = int(0)
+    high = int(contacts.count[world])
+    while low < high:
+        middle = (low + high) // 2
+        if contacts.key[world, middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    return low < contacts.count[world] and contacts.key[world, low] == key
+
+
+@wp.kernel
+def drop_dependent(
+    scene: Scene,
+    worlds: wp.array[int],  # (row,)
+    listed: ContactList,
+    # In and out:
+    proposed: ContactList,  # row: body + BODY_COUNT * row of worlds
+    gaps: wp.array2d[wp.float64],  # along the normal of the face [m]
+    # Out:
+    owned: wp.array2d[int],  # the node that each point on an edge or in a triangle brings in
+):
+    """Give each point on the flat part a node of its own, those with the smallest gap first; drop what gets none.
+
+    A point that is listed already goes before others unless they are deeper by more than a tie.
+    """
+    i, body = wp.tid()
+    w = worlds[i]
+    row = wp.static(BODY_COUNT) * i + body
+    count = wp.min(proposed.count[row], proposed.key.shape[1])
+    for c in range(count):
+        owned[row, c] = wp.static(NO_NODE)
+        nodes = proposed.nodes[row, c]
+        if nodes[0] != nodes[1] and is_flat(proposed, row, c):
+            owned[row, c] = wp.static(UNDECIDED)
+    while True:
+        best = int(-1)
+        smallest = wp.float64(0.0)
+        for c in range(count):
+            if owned[row, c] == wp.static(UNDECIDED):
+                gap = gaps[row, c]
+                if is_listed(listed, w, proposed.key[row, c]):
+                    gap -= scene.tie
+                if best < 0 or gap < smallest:
+                    best = c
+                    smallest = gap
+        if best < 0:
+            break
+        own = int(-1)
+        largest = SAME_POINT + wp.float64(0.0)
+        for k in range(3):
+            node = proposed.nodes[row, best][k]
+            weight = weight_of(node, proposed.nodes[row, best], proposed.weights[row, best])
+            if weight > largest and not is_taken(proposed, owned, row, count, node):
+                own = node
+                largest = weight
+        owned[row, best] = own
+        if own == wp.static(NO_NODE):
+            proposed.key[row, best] = -1
 
 
 @wp.kernel
