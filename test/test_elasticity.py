@@ -9,6 +9,8 @@ import warp as wp
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from defgrasp_ros.experiments.metrics import von_mises_stress
+from defgrasp_ros.gripper import load_gripper
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.shapes import box
 from defgrasp_ros.mesh.tet_mesh import TetMesh
@@ -16,6 +18,7 @@ from defgrasp_ros.object_model import ObjectModel
 from defgrasp_ros.simulation.kernels_element import polar_rotation
 from defgrasp_ros.simulation.reference_element import REFERENCE_ELEMENTS
 from defgrasp_ros.simulation.rest_system import RestSystem, rest_stiffness
+from defgrasp_ros.simulation.simulator import Simulator
 from defgrasp_ros.simulation.types import mat33d
 
 WORLD = np.array([0])
@@ -36,6 +39,13 @@ def jittered_block(order: int, youngs_modulus: float = 2e5, poissons_ratio: floa
     vertices[inner] += np.random.default_rng(0).uniform(-0.002, 0.002, (len(inner), 3))
     moved = TetMesh(vertices, mesh.tetrahedra, order)
     return ObjectModel("block", moved, Material(youngs_modulus=youngs_modulus, poissons_ratio=poissons_ratio))
+
+
+def simulator_with(model: ObjectModel, displacement: np.ndarray) -> Simulator:
+    """A simulator whose only world has the given nodal displacement."""
+    simulator = Simulator(model, load_gripper(), 1)
+    simulator.set_displacement(WORLD, displacement)
+    return simulator
 
 
 def test_polar_rotation_agrees_with_scipy():
@@ -81,7 +91,6 @@ def test_compliance_is_the_inverse(order):
     push = mass @ np.tile([1.0, 0.0, 0.0], len(model.mesh.vertices)) / model.mass
     np.testing.assert_allclose((compliance.matrix @ push)[::3], h**2 / model.mass, rtol=1e-6)
     assert (compliance.elastic > 0.0).all()
-<<<<<<< HEAD
 
 
 @ORDERS
@@ -206,5 +215,3 @@ def test_force_along_one_axis_is_linear_in_the_stretch(order):
         end = model.mesh.vertices[:, 0] > 0.0299
         pull = -forces[end, 0].sum() / (0.04 * 0.04)
         assert pull == pytest.approx(2e5 * (stretch - 1.0), rel=1e-9)
-=======
->>>>>>> wt-validation

@@ -22,8 +22,10 @@ INITIAL_CAPACITY = 32
 """Contact points per world; grows in steps of this."""
 MARGIN = 1e-2
 """Gap below which a point becomes a candidate, relative to the mean surface edge [-]."""
-PENETRATION = 1e-5
+PENETRATION = 5e-5
 """Depth of an unlisted point that makes a step look for contacts again, relative to the object's size [-]."""
+TIE = 1e-5
+"""Difference of gaps that does not decide between two points, relative to the object\'s size [-]."""
 CONTACT_FIELDS = ("key", "body", "nodes", "weights", "frame", "plane", "axis", "force")
 
 
@@ -172,7 +174,7 @@ class ContactSet:
         scene, model = detection.Scene(), self._model
         scene.surface, scene.faces, scene.bodies = model.surface, model.faces, self._state.bodies
         scene.rest, scene.displacement = model.vertices, displacement
-        scene.margin, scene.tie = margin, self._penetration
+        scene.margin, scene.tie = margin, TIE * model.size
         scene.normal, scene.places = self._normal, self._places
         return scene
 

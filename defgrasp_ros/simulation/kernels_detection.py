@@ -48,6 +48,8 @@ SAME_POINT = wp.constant(wp.float64(0.1))
 """Points whose weights differ by less than this at every node are one."""
 FLAT = wp.constant(wp.float64(0.99))
 """Component of the contact normal along the face's normal above which a point counts as on the flat part."""
+LOADED_FIRST = wp.constant(wp.float64(1e6))
+"""Larger than any depth [m]: puts points that carry force before the others."""
 NO_NODE = -1
 UNDECIDED = -2
 KEPT_SHIFT = wp.constant(wp.float64(0.02))
@@ -577,8 +579,8 @@ def is_taken(contacts: ContactList, owned: wp.array2d[int], row: int, count: int
 
 
 @wp.func
-def is_listed(contacts: ContactList, world: int, key: int) -> bool:
-    """Whether a sorted list has an entry with this key."""
+def listed_force(contacts: ContactList, world: int, key: int) -> wp.float64:
+    """Normal force of the entry with this key in a sorted list [N], -1 where there is none."""
     low = int(0)
     high = int(contacts.count[world])
     while low < high:
@@ -587,7 +589,9 @@ def is_listed(contacts: ContactList, world: int, key: int) -> bool:
             low = middle + 1
         else:
             high = middle
-    return low < contacts.count[world] and contacts.key[world, low] == key
+    if low < contacts.count[world] and contacts.key[world, low] == key:
+        return contacts.force[world, low][0]
+    return wp.float64(-1.0)
 
 
 @wp.kernel
@@ -603,7 +607,8 @@ def drop_dependent(
 ):
     """Give each point on the flat part a node of its own, those with the smallest gap first; drop what gets none.
 
-    A point that is listed already goes before others unless they are deeper by more than a tie.
+    Points that carry force go first, and stay in any case, so that the choice does not alternate from step to step;
+    then those that are listed already, unless others are deeper by more than a tie.
     """
     i, body = wp.tid()
     w = worlds[i]
@@ -620,7 +625,10 @@ def drop_dependent(
         for c in range(count):
             if owned[row, c] == wp.static(UNDECIDED):
                 gap = gaps[row, c]
-                if is_listed(listed, w, proposed.key[row, c]):
+                force = listed_force(listed, w, proposed.key[row, c])
+                if force > wp.float64(0.0):
+                    gap = -LOADED_FIRST - force
+                elif force == wp.float64(0.0):
                     gap -= scene.tie
                 if best < 0 or gap < smallest:
                     best = c
@@ -636,7 +644,7 @@ def drop_dependent(
                 own = node
                 largest = weight
         owned[row, best] = own
-        if own == wp.static(NO_NODE):
+        if own == wp.static(NO_NODE) and smallest > -LOADED_FIRST:
             proposed.key[row, best] = -1
 
 
