@@ -48,6 +48,7 @@ SAME_POINT = wp.constant(wp.float64(0.1))
 """Points whose weights differ by less than this at every node are one."""
 FLAT = wp.constant(wp.float64(0.99))
 """Component of the contact normal along the face's normal above which a point counts as on the flat part."""
+EXACTLY_FLAT = wp.constant(wp.float64(1.0 - 1e-12))
 LOADED_FIRST = wp.constant(wp.float64(1e6))
 """Larger than any depth [m]: puts points that carry force before the others."""
 NO_NODE = -1
@@ -573,8 +574,9 @@ def is_taken(contacts: ContactList, owned: wp.array2d[int], row: int, count: int
         if owned[row, c] == node:
             return True
         nodes = contacts.nodes[row, c]
-        if nodes[0] == node and nodes[1] == node and is_flat(contacts, row, c):
-            return True
+        if nodes[0] == node and nodes[1] == node and contacts.key[row, c] >= 0:
+            # A node beyond the flat part does not speak for it, however little the fillet has dropped there.
+            return contacts.axis[row, c][0] > EXACTLY_FLAT
     return False
 
 
