@@ -193,7 +193,7 @@ class ContactSet:
 
     def _carry_forces(self, rows: wp.array, stale: wp.array) -> None:
         scene = self._scene(self._state.displacement, self._margin)
-        inputs = [scene, rows, self.lists, self._gap, self._penetration]
+        inputs = [scene, rows, self.lists, self._gap]
         self._launch(detection.carry_forces, rows.shape[0], inputs, [self._found, stale, self._missing])
 
     # --- compliance ---------------------------------------------------------------------------------------------

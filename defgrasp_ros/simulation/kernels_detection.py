@@ -48,6 +48,9 @@ SAME_POINT = wp.constant(wp.float64(0.1))
 """Points whose weights differ by less than this at every node are one."""
 FLAT = wp.constant(wp.float64(0.99))
 """Component of the contact normal along the face's normal above which a point counts as on the flat part."""
+DEPTH_IN_EDGE = wp.constant(wp.float64(5e-4))
+"""Depth at which a point counts as inside a body, relative to its edge [-], where the margin asks for more: a fine mesh
+is there to resolve a fine pressure, and on a coarse one every point more depends on others."""
 EXACTLY_FLAT = wp.constant(wp.float64(1.0 - 1e-12))
 LOADED_FIRST = wp.constant(wp.float64(1e6))
 """Larger than any depth [m]: puts points that carry force before the others."""
@@ -106,7 +109,7 @@ class Scene:
     rest: wp.array[vec3d]  # (node,) [m]
     displacement: wp.array2d[vec3d]  # (world, node) [m]
     normal: wp.array2d[vec3d]  # (world, node): outward
-    margin: wp.float64  # gap below which a point is a candidate [m]
+    margin: wp.float64  # gap below which a point is a candidate [m]; see DEPTH_IN_EDGE if negative
     tie: wp.float64  # difference of gaps that does not count [m]
     places: wp.array2d[int]  # (world, node): bits that tell where a node lies relative to each body
 
@@ -293,7 +296,12 @@ def propose(
     outward_here = scene.bodies.frame[world, body] * candidate.outward
     gap = p[2] + h[0]
     distance = gap / wp.sqrt(wp.float64(1.0) + h[1] * h[1] + h[2] * h[2])
-    if distance > scene.margin or gap < -scene.faces.depth[body]:
+    margin = scene.margin
+    if margin < wp.float64(0.0):
+        edge = wp.length(scene.rest[candidate.nodes[0]] - scene.rest[candidate.nodes[1]])
+        if edge > wp.float64(0.0):
+            margin = wp.max(margin, -DEPTH_IN_EDGE * edge)
+    if distance > margin or gap < -scene.faces.depth[body]:
         return count
     if outward_here[0] + h[1] * outward_here[1] + h[2] * outward_here[2] >= wp.float64(0.0):
         return count
@@ -680,12 +688,11 @@ def carry_forces(
     worlds: wp.array[int],  # (row,)
     former: ContactList,
     found_gap: wp.array2d[wp.float64],  # (world, contact): along the normal of the face [m]
-    penetration: wp.float64,  # [m]
     # In and out:
     found: ContactList,
     # Out:
     compliance_is_stale: wp.array[int],  # (world,): set where the points changed
-    missing_out: wp.array[int],  # (row,): unlisted points deeper than the penetration
+    missing_out: wp.array[int],  # (row,): unlisted points inside a body
 ):
     """Give points found again their force and their place in the material; both lists are sorted by key."""
     i = wp.tid()
@@ -709,7 +716,7 @@ def carry_forces(
                 touch(scene, w, body, x, to_face(scene.bodies, w, body, x), found, w, c)
                 if wp.max(wp.abs(found.axis[w, c] - former.axis[w, k])) < KEPT_TILT:
                     same += 1
-        elif found.axis[w, c][0] * found_gap[w, c] < -penetration:
+        elif found_gap[w, c] < wp.float64(0.0):
             missing += 1
     if same != found.count[w] or found.count[w] != former.count[w]:
         compliance_is_stale[w] = 1
