@@ -19,9 +19,10 @@ from defgrasp_ros.errors import EmptyGraspListError
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.mesh.rays import RayCaster
+from defgrasp_ros.mesh.surface_geometry import triangle_normals
 from defgrasp_ros.sampling.clearance import Fit, HandFit
 from defgrasp_ros.sampling.diversity import farthest_first
-from defgrasp_ros.sampling.surface_points import in_cone, perpendicular, surface_points, triangle_normals
+from defgrasp_ros.sampling.surface_points import in_cone, perpendicular, surface_points
 
 DEFAULT_CONE = 0.2
 """Largest angle between closing axis and contact normals [rad] where none is given: the friction cone of mu = 0.2.

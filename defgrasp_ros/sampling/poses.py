@@ -12,9 +12,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from defgrasp_ros.gripper import Gripper
+from defgrasp_ros.mesh.surface_geometry import triangle_normals
 from defgrasp_ros.sampling.clearance import closing_region
 from defgrasp_ros.sampling.rotations import GRID_SIZES, rotation_grid
-from defgrasp_ros.sampling.surface_points import in_cone, perpendicular, surface_points, triangle_normals
+from defgrasp_ros.sampling.surface_points import in_cone, perpendicular, surface_points
 
 Pose = tuple[np.ndarray, np.ndarray]
 """Position [m], shape ``(3,)``, and rotation with the axes as columns, shape ``(3, 3)``, in the object frame."""
@@ -76,7 +77,8 @@ def polar_poses(
         outward /= np.linalg.norm(outward, axis=1, keepdims=True)
         approach = in_cone(-outward, POLAR_TILT, random)
         closing = perpendicular(approach, random.uniform(-np.pi, np.pi, AT_ONCE))
-        for ray, forward, axis, distance in zip(outward, approach, closing, random.choice(distances, AT_ONCE)):
+        places = random.choice(distances, AT_ONCE)
+        for ray, forward, axis, distance in zip(outward, approach, closing, places, strict=True):
             yield centre + distance * ray, np.column_stack([np.cross(axis, forward), axis, forward])
 
 

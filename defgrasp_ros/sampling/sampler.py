@@ -69,9 +69,7 @@ def sample_grasps(
     check(InvalidOptionsError, "standoff", standoff, gripper.pad_bottom, gripper.pad_top, unit="m")
     vertices, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(triangles)
     if sampler == ANTIPODAL:
-        found = antipodal_grasps(
-            vertices, triangles, gripper, count, max_angle=max_angle, standoff=standoff, seed=seed
-        )
+        found = antipodal_grasps(vertices, triangles, gripper, count, max_angle=max_angle, standoff=standoff, seed=seed)
         return [candidate.grasp for candidate in found]
     poses = POSE_SAMPLERS[sampler](vertices, triangles, gripper, np.random.default_rng(seed))
     return _fitting(HandFit(vertices, triangles, gripper), poses, count)

@@ -27,14 +27,6 @@ def surface_points(
     return a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen], chosen
 
 
-def triangle_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Return the unit normals, zero for a triangle without area, shape ``(triangle, 3)``."""
-    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
-    normals = np.cross(b - a, c - a)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0.0)
-
-
 def in_cone(axes: np.ndarray, max_angle: float, random: np.random.Generator) -> np.ndarray:
     """Return unit vectors uniform over the solid angle within ``max_angle`` [rad] of the given unit vectors."""
     cosine = random.uniform(np.cos(max_angle), 1.0, len(axes))[:, None]

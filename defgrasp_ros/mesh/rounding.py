@@ -1,0 +1,75 @@
+"""Rounds the sharp edges of a surface: at a sharp edge the stress grows without bound as the mesh gets finer."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+from scipy.sparse import coo_array
+from scipy.spatial import cKDTree
+
+from defgrasp_ros.checks import require_in_range
+from defgrasp_ros.errors import InvalidMeshError
+from defgrasp_ros.mesh.triangle_size import REGULAR_TRIANGLE, split_long_edges
+
+SHARP_ANGLE = np.radians(30.0)
+"""Edges at which the surface turns by more than this are sharp [rad]."""
+
+EDGES_PER_RADIUS = 1.5
+"""Triangle edges within the radius."""
+
+REACH = 1.5
+"""How far from a sharp edge the surface is changed, in radii."""
+
+MAX_TRIANGLES = 200_000
+MAX_SMOOTHINGS = 500
+RELAXATION = 0.5
+"""Share of the way to the mean of its neighbours that a vertex goes in each smoothing."""
+
+
+def with_rounded_edges(surface: trimesh.Trimesh, radius: float) -> trimesh.Trimesh:
+    """Return the surface with its sharp edges rounded, about as by a fillet.
+
+    The vertices near sharp edges are smoothed until the edges have receded as far as under a fillet of that radius:
+    ``radius (1 / cos(angle / 2) - 1)``, where ``angle`` is that between the normals of the two faces. The rest of
+    the surface stays where it is. The cross-section is only nearly an arc.
+
+    Args:
+        surface: Closed, with outward normals.
+        radius: Radius of the fillet [m].
+
+    Raises:
+        InvalidMeshError: If the radius is not positive, larger than a quarter of the object's shortest side, or so
+            small that the surface would need more than ``MAX_TRIANGLES``.
+    """
+    require_in_range(
+        InvalidMeshError, "edge_radius", radius, 0.0, float(surface.extents.min()) / 4.0, low_open=True, unit="m"
+    )
+    edge_length = radius / EDGES_PER_RADIUS
+    if surface.area / (REGULAR_TRIANGLE * edge_length**2) > MAX_TRIANGLES:
+        smallest = EDGES_PER_RADIUS * (surface.area / (REGULAR_TRIANGLE * MAX_TRIANGLES)) ** 0.5
+        raise InvalidMeshError(
+            f"edge_radius = {radius:g} m is too small for this object; give at least {smallest:.2g} m"
+        )
+    if not (surface.face_adjacency_angles > SHARP_ANGLE).any():
+        return surface
+    fine = trimesh.Trimesh(
+        *split_long_edges(surface.vertices, surface.faces, edge_length, 2 * MAX_TRIANGLES), process=False
+    )
+    is_sharp = fine.face_adjacency_angles > SHARP_ANGLE
+    edges, angles = fine.face_adjacency_edges[is_sharp], fine.face_adjacency_angles[is_sharp]
+    rim = np.unique(edges)
+    start = np.asarray(fine.vertices)
+    distance, _ = cKDTree(start[rim]).query(start)
+    free = np.flatnonzero(distance < REACH * radius)
+
+    count = len(start)
+    pairs = np.concatenate([fine.edges_unique, fine.edges_unique[:, ::-1]])
+    neighbours = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
+    mean_of_neighbours = neighbours.multiply(1.0 / neighbours.sum(axis=1)[:, None]).tocsr()[free]
+    wanted = float(np.median(radius * (1.0 / np.cos(angles / 2.0) - 1.0)))
+    positions = start.copy()
+    for _ in range(MAX_SMOOTHINGS):
+        positions[free] += RELAXATION * (mean_of_neighbours @ positions - positions[free])
+        if np.median(np.linalg.norm(positions[rim] - start[rim], axis=1)) >= wanted:
+            break
+    return trimesh.Trimesh(positions, fine.faces, process=False)
