@@ -30,9 +30,6 @@ class Gripper:
         max_force: Largest SUM of the two pad normal forces [N].
         hand_to_tcp: Distance from the hand's base frame to the grasp frame along z [m].
         closing_speed: Speed of each free finger under the full target force [m/s].
-        palm_half_width: Half the palm's extent along x [m].
-        palm_half_length: Half the palm's extent along y [m].
-        palm_top: Distal end of the palm along z [m], negative.
     """
 
     name: str
@@ -45,9 +42,6 @@ class Gripper:
     max_force: float
     hand_to_tcp: float
     closing_speed: float
-    palm_half_width: float
-    palm_half_length: float
-    palm_top: float
 
     def __post_init__(self) -> None:
         check = require_in_range
@@ -60,9 +54,6 @@ class Gripper:
         check(error, "gripper.max_force", self.max_force, 0.0, 1e5, low_open=True, unit="N")
         check(error, "gripper.hand_to_tcp", self.hand_to_tcp, 0.0, 1.0, unit="m")
         check(error, "gripper.closing_speed", self.closing_speed, 0.0, 10.0, low_open=True, unit="m/s")
-        check(error, "gripper.palm_half_width", self.palm_half_width, 0.0, 1.0, low_open=True, unit="m")
-        check(error, "gripper.palm_half_length", self.palm_half_length, 0.0, 1.0, low_open=True, unit="m")
-        check(error, "gripper.palm_top", self.palm_top, -self.hand_to_tcp, self.pad_top, low_open=True, unit="m")
 
 
 def load_gripper(name: str = DEFAULT_GRIPPER) -> Gripper:

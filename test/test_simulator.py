@@ -28,9 +28,6 @@ GRIPPER = Gripper(
     max_force=100.0,
     hand_to_tcp=0.1,
     closing_speed=0.05,
-    palm_half_width=0.03,
-    palm_half_length=0.1,
-    palm_top=-0.06,
 )
 
 
