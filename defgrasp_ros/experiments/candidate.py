@@ -91,6 +91,6 @@ class Candidate:
         return ResultCode.NO_CONTACT, text
 
 
-def spoken(finger: str) -> str:
-    """Return a finger's name as in a sentence."""
-    return finger.replace("_", " ")
+def spoken(part: str) -> str:
+    """Return the name of a part of the gripper as in a sentence."""
+    return part.replace("_", " ")

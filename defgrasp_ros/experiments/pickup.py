@@ -23,7 +23,7 @@ from defgrasp_ros.evaluation import (
     Progress,
 )
 from defgrasp_ros.experiments.candidate import Candidate, spoken
-from defgrasp_ros.experiments.collision import colliding_finger
+from defgrasp_ros.experiments.collision import colliding_part
 from defgrasp_ros.experiments.features import grasp_features
 from defgrasp_ros.experiments.metrics import deformation
 from defgrasp_ros.experiments.settling import SettledObject, deformed_state, settle
@@ -193,10 +193,10 @@ class _Pickup:
             text = f"the target force {asked:.4g} N is above the gripper's limit of {limit:g} N"
             self._finish(candidate, ResultCode.FORCE_NOT_REACHED, text)
             return
-        finger = colliding_finger(self.model.mesh, positions, candidate.grasp, gripper, gripper.max_opening)
-        if finger:
+        part = colliding_part(self.model.mesh, positions, candidate.grasp, gripper, gripper.max_opening)
+        if part:
             width = 2e3 * gripper.max_opening
-            text = f"the {spoken(finger)} of the open gripper ({width:.1f} mm) is inside the object at this pose"
+            text = f"the {spoken(part)} of the open gripper ({width:.1f} mm) is inside the object at this pose"
             self._finish(candidate, ResultCode.GRIPPER_COLLISION, text)
 
     def _squeeze(self) -> None:
@@ -343,7 +343,7 @@ class _Pickup:
         fingers = forces.fingers()
         state = deformed_state(self.simulator, w)
         candidate.evaluation.contacts = fingers
-        candidate.evaluation.applied_force = sum(finger.normal_force for finger in fingers)
+        candidate.evaluation.applied_force = float(self.simulator.normal_forces(here)[0, :2].sum())
         candidate.evaluation.features = grasp_features(
             candidate.grasp,
             self.gripper,

@@ -8,11 +8,12 @@ import warp as wp
 from defgrasp_ros.simulation import kernels_contact as contact
 from defgrasp_ros.simulation import kernels_coulomb as coulomb
 from defgrasp_ros.simulation import kernels_detection as detection
+from defgrasp_ros.simulation import kernels_faces as faces
 from defgrasp_ros.simulation.coulomb import ContactProblem, CoulombSolver
 from defgrasp_ros.simulation.dense import DeviceAlgebra, HostAlgebra
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
-from defgrasp_ros.simulation.types import vec3d
+from defgrasp_ros.simulation.types import mat33d, vec3d
 from defgrasp_ros.simulation.world_state import WorldState, set_entries
 
 wp.set_module_options({"enable_backward": False})
@@ -48,6 +49,10 @@ class ContactSet:
         self._margin = MARGIN * model.mean_edge
         self._penetration = PENETRATION * size
         self._normal = wp.zeros((world_count, model.node_count), dtype=vec3d, device=device)
+        self._outside = wp.zeros((world_count, model.node_count), dtype=int, device=device)
+        feature_count = sum(len(a) for a in (model.surface.nodes, model.surface.edges, model.surface.triangles))
+        chunk_count = -(-feature_count // detection.CHUNK)
+        self._near = wp.zeros((world_count, faces.BODY_COUNT, chunk_count), dtype=wp.uint64, device=device)
         self._no_correction = wp.zeros((world_count, model.node_count), dtype=vec3d, device=device)
         self._missing = wp.zeros(world_count, dtype=int, device=device)
         self._residual = wp.zeros(world_count, dtype=wp.float64, device=device)
@@ -59,7 +64,11 @@ class ContactSet:
     def _allocate(self, capacity: int) -> None:
         worlds, device = self._world_count, self._device
         self.capacity = capacity
-        self.lists, self._remembered, self._found, self._merged = (self._contact_list(capacity) for _ in range(4))
+        self.lists, self._remembered, self._found, self._merged = (
+            self._contact_list(worlds, capacity) for _ in range(4)
+        )
+        self._proposed = self._contact_list(faces.BODY_COUNT * worlds, capacity)
+        self._proposed_gap = wp.zeros((faces.BODY_COUNT * worlds, capacity), dtype=wp.float64, device=device)
         self._gap = wp.zeros((worlds, capacity), dtype=wp.float64, device=device)
         self._force = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
         self._motion = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
@@ -78,13 +87,16 @@ class ContactSet:
         for source, target in zip(kept, (self.lists, self._remembered), strict=True):
             self._launch(contact.copy_contacts, self._world_count, [every, source, target])
 
-    def _contact_list(self, capacity: int) -> contact.ContactList:
-        shape, result = (self._world_count, capacity), contact.ContactList()
-        result.count = wp.zeros(self._world_count, dtype=int, device=self._device)
+    def _contact_list(self, rows: int, capacity: int) -> contact.ContactList:
+        shape, result = (rows, capacity), contact.ContactList()
+        result.count = wp.zeros(rows, dtype=int, device=self._device)
         result.key = wp.zeros(shape, dtype=int, device=self._device)
         result.body = wp.zeros(shape, dtype=int, device=self._device)
         result.nodes = wp.zeros(shape, dtype=wp.vec3i, device=self._device)
         result.weights = wp.zeros(shape, dtype=vec3d, device=self._device)
+        result.frame = wp.zeros(shape, dtype=mat33d, device=self._device)
+        result.plane = wp.zeros(shape, dtype=wp.float64, device=self._device)
+        result.axis = wp.zeros(shape, dtype=vec3d, device=self._device)
         result.force = wp.zeros(shape, dtype=vec3d, device=self._device)
         return result
 
@@ -102,8 +114,7 @@ class ContactSet:
     def find(self, rows: wp.array) -> None:
         """List the candidates at the present displacement; a point found again keeps its force."""
         self._search(rows, self._margin)
-        inputs = [rows, self.lists, self._gap, self._penetration]
-        self._launch(contact.carry_forces, rows.shape[0], inputs, [self._found, self.stale, self._missing])
+        self._carry_forces(rows, self.stale)
         self._launch(contact.copy_contacts, rows.shape[0], [rows, self._found, self.lists])
 
     def complete(self, rows: wp.array) -> np.ndarray:
@@ -115,9 +126,7 @@ class ContactSet:
             if room <= self.capacity:
                 break
             self._grow(room)
-        unchanged = wp.zeros_like(self.stale)
-        inputs = [rows, self.lists, self._gap, self._penetration]
-        self._launch(contact.carry_forces, len(worlds), inputs, [self._found, unchanged, self._missing])
+        self._carry_forces(rows, wp.zeros_like(self.stale))
         missing = self._missing.numpy()[: len(worlds)] > 0
         if missing.any():
             some = wp.array(worlds[missing], dtype=int, device=self._device)
@@ -129,52 +138,65 @@ class ContactSet:
 
     def _search(self, rows: wp.array, margin: float) -> None:
         """Fill the list of found points, which grows as needed."""
-        displacement = self._state.displacement
-        self._surface_normals(rows, displacement)
+        scene = self._scene(self._state.displacement)
+        self._screen(scene, rows, margin)
         while True:
-            self._find(rows, displacement, margin, self._found, self._gap)
-            largest = int(self._found.count.numpy()[rows.numpy()].max(initial=0))
-            if largest <= self.capacity:
+            needed = self._propose(scene, rows, margin, self._proposed, self._proposed_gap)
+            if needed <= self.capacity:
+                inputs = [self._proposed, self._proposed_gap, rows]
+                self._launch(detection.join_bodies, rows.shape[0], inputs, [self._found, self._gap])
+                needed = int(self._found.count.numpy()[rows.numpy()].max(initial=0))
+            if needed <= self.capacity:
                 return
-            self._grow(largest)
+            self._grow(needed)
 
     def pad_gaps(self, rows: wp.array, reach: float) -> np.ndarray:
-        """Return the distance of each pad face from the surface in front of it [m], shape ``(row, 2)``.
+        """Return how far each pad can close before it touches the surface in front of it [m], shape ``(row, 2)``.
 
         It is inf where there is none within ``reach`` [m].
         """
-        worlds, displacement = rows.numpy(), self._state.start_displacement
-        every = self._contact_list(self._model.surface.body_key)
-        gap = wp.zeros(every.key.shape, dtype=wp.float64, device=self._device)
-        self._surface_normals(rows, displacement)
-        self._find(rows, displacement, reach, every, gap)
-        count, body, gaps = every.count.numpy()[worlds], every.body.numpy()[worlds], gap.numpy()[worlds]
-        listed = np.arange(body.shape[1]) < count[:, None]
-        pads = (contact.LEFT_PAD, contact.RIGHT_PAD)
-        return np.stack([np.where(listed & (body == pad), gaps, np.inf).min(axis=1) for pad in pads], axis=1)
+        scene = self._scene(self._state.start_displacement)
+        self._screen(scene, rows, reach)
+        capacity = 0
+        while True:
+            row_count = faces.BODY_COUNT * rows.shape[0]
+            every = self._contact_list(row_count, capacity)
+            gap = wp.zeros((row_count, capacity), dtype=wp.float64, device=self._device)
+            needed = self._propose(scene, rows, reach, every, gap)
+            if needed <= capacity:
+                break
+            capacity = needed
+        listed = (np.arange(capacity) < every.count.numpy()[:, None]) & (every.key.numpy() >= 0)
+        axis = np.where(listed, every.axis.numpy()[:, :, 0], 1.0)
+        along_axis = np.where(listed, gap.numpy() / axis, np.inf).min(axis=1, initial=np.inf)
+        return along_axis.reshape(-1, faces.BODY_COUNT)[:, [faces.LEFT_PAD, faces.RIGHT_PAD]]
 
-    def _surface_normals(self, rows: wp.array, displacement: wp.array) -> None:
-        model = self._model
-        dim = (rows.shape[0], model.surface.nodes.shape[0])
-        self._launch(
-            detection.surface_normals, dim, [model.surface, model.vertices, rows, displacement], [self._normal]
-        )
+    def _scene(self, displacement: wp.array) -> detection.Scene:
+        scene, model = detection.Scene(), self._model
+        scene.surface, scene.faces, scene.bodies = model.surface, model.faces, self._state.bodies
+        scene.rest, scene.displacement = model.vertices, displacement
+        scene.normal, scene.outside = self._normal, self._outside
+        return scene
 
-    def _find(
-        self, rows: wp.array, displacement: wp.array, margin: float, found: contact.ContactList, gap: wp.array
-    ) -> None:
-        model = self._model
-        inputs = [
-            model.surface,
-            model.outline,
-            model.vertices,
-            margin,
-            self._state.bodies,
-            rows,
-            displacement,
-            self._normal,
-        ]
-        self._launch(detection.find_contacts, rows.shape[0], inputs, [found, gap])
+    def _screen(self, scene: detection.Scene, rows: wp.array, margin: float) -> None:
+        """Mark the features of the surface that can be nearer to a body than the margin [m]."""
+        count = rows.shape[0]
+        self._launch(detection.look_at_nodes, (count, len(scene.surface.nodes)), [scene, margin, rows])
+        self._launch(detection.screen_features, (count, self._near.shape[2]), [scene, rows], [self._near])
+
+    def _propose(
+        self, scene: detection.Scene, rows: wp.array, margin: float, proposed: contact.ContactList, gap: wp.array
+    ) -> int:
+        """List the candidates of each world and body; return how much room the longest list needs."""
+        dim = (rows.shape[0], faces.BODY_COUNT)
+        inputs = [scene, self._near, margin, self._penetration, rows]
+        self._launch(detection.propose_contacts, dim, inputs, [proposed, gap])
+        return int(proposed.count.numpy()[: dim[0] * dim[1]].max(initial=0))
+
+    def _carry_forces(self, rows: wp.array, stale: wp.array) -> None:
+        scene = self._scene(self._state.displacement)
+        inputs = [scene, rows, self.lists, self._gap, self._penetration]
+        self._launch(detection.carry_forces, rows.shape[0], inputs, [self._found, stale, self._missing])
 
     # --- compliance ---------------------------------------------------------------------------------------------
 
@@ -194,7 +216,7 @@ class ContactSet:
         self._launch(
             contact.assemble_contact_compliance,
             (len(stale), self.capacity, self.capacity),
-            [shared.matrix, shared.step_length, state.bodies, lists, some, state.rotation, state.finger_damping],
+            [shared.matrix, shared.step_length, lists, some, state.rotation, state.finger_damping],
             [self._compliance],
         )
         sizes = 3 * lists.count.numpy()
@@ -248,22 +270,23 @@ class ContactSet:
 
     def copy_world(self, source: int, worlds: np.ndarray) -> None:
         """Give some worlds the points and forces of another."""
-        for name in ("count", "key", "body", "nodes", "weights", "force"):
+        for name in ("count", "key", "body", "nodes", "weights", "frame", "plane", "axis", "force"):
             array = getattr(self.lists, name)
             set_entries(array, worlds, array.numpy()[source])
         set_entries(self.stale, worlds, 1)
 
     def normal_forces(self, worlds: np.ndarray) -> np.ndarray:
-        """Sum of the normal forces of left pad, right pad and platform [N], shape ``(n, 3)``."""
+        """Force of each body along the normal of its face [N], shape ``(n, body)``.
+
+        That of a pad is along the closing axis, with what friction and normals in the fillets contribute to it.
+        """
         count, body = self.lists.count.numpy()[worlds], self.lists.body.numpy()[worlds]
-        force = self.lists.force.numpy()[worlds, :, 0]
+        force = np.einsum("ncj,ncj->nc", self.lists.axis.numpy()[worlds], self.lists.force.numpy()[worlds])
         listed = np.arange(self.capacity) < count[:, None]
-        return np.stack(
-            [np.where(listed & (body == b), force, 0.0).sum(axis=1) for b in range(contact.BODY_COUNT)], axis=1
-        )
+        return np.stack([np.where(listed & (body == b), force, 0.0).sum(axis=1) for b in range(faces.BODY_COUNT)], axis=1)
 
     def _scatter(self, rows: wp.array, nodal_force: wp.array) -> None:
-        inputs = [self._state.bodies, self.lists, rows, self._force, nodal_force]
+        inputs = [self.lists, rows, self._force, nodal_force]
         self._launch(contact.scatter_contact_forces, rows.shape[0], inputs)
 
     def _relative_motion(self, rows: wp.array, correction: wp.array) -> None:

@@ -7,15 +7,16 @@ import warp as wp
 
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.simulation.kernels_contact import Outline, Surface
+from defgrasp_ros.simulation.kernels_detection import EDGE_POINTS, TRIANGLE_POINTS, Surface
+from defgrasp_ros.simulation.kernels_faces import Faces
 from defgrasp_ros.simulation.types import mat43d, vec2d, vec3d
 
-SNAP_DISTANCE = 0.1
-"""How far outside the pad's outline a node still counts as inside, relative to the mean surface edge [-]."""
+UNBOUNDED = 1e3
+"""Half the width of the platform, and its depth [m]: further than anything gets."""
 
 
 class DeviceModel:
-    """Mesh, material and pad outline on a device; shared by all worlds."""
+    """Mesh, material and shape of the bodies on a device; shared by all worlds."""
 
     def __init__(self, model: ObjectModel, gripper: Gripper, mass: np.ndarray, device: wp.Device):
         mesh = model.mesh
@@ -36,7 +37,7 @@ class DeviceModel:
         self.incidence_tet = wp.array(tet, dtype=int, device=device)
         self.incidence_corner = wp.array(corner, dtype=int, device=device)
         self.surface = _surface(model, device)
-        self.outline = _outline(gripper, SNAP_DISTANCE * self.mean_edge)
+        self.faces = _faces(gripper, device)
 
 
 def _surface(model: ObjectModel, device: wp.Device) -> Surface:
@@ -49,19 +50,34 @@ def _surface(model: ObjectModel, device: wp.Device) -> Surface:
     surface.incidence_start = wp.array(start, dtype=int, device=device)
     surface.incidence_triangle = wp.array(triangle, dtype=int, device=device)
     surface.edge_key = len(mesh.vertices)
-    surface.corner_key = surface.edge_key + 4 * len(mesh.surface_edges)
-    surface.body_key = surface.corner_key + 4 * len(mesh.surface_triangles)
+    surface.triangle_key = surface.edge_key + int(EDGE_POINTS) * len(mesh.surface_edges)
+    surface.body_key = surface.triangle_key + int(TRIANGLE_POINTS) * len(mesh.surface_triangles)
     return surface
 
 
-def _outline(gripper: Gripper, snap: float) -> Outline:
-    outline = Outline()
-    outline.half_width = gripper.pad_half_width
-    outline.bottom = gripper.pad_bottom
-    outline.top = gripper.pad_top
-    outline.depth = 0.5 * gripper.finger_thickness
-    outline.snap = snap
-    return outline
+def _faces(gripper: Gripper, device: wp.Device) -> Faces:
+    """Return the faces of both pads, the platform and the palm, in the order of their numbers."""
+    sharp, half, palm = (0.0, 0.0), gripper.pad_half_width, gripper.palm
+    pad_low, pad_high = (-half, gripper.pad_bottom), (half, gripper.pad_top)
+    pad_fillet_low, pad_fillet_high = (gripper.side_fillet, 0.0), (gripper.side_fillet, gripper.tip_fillet)
+    pad_depth = 0.5 * gripper.finger_thickness
+    platform = (UNBOUNDED, UNBOUNDED)
+    palm_corner = (palm.half_width, palm.half_length) if palm else sharp
+    palm_depth = palm.face + gripper.hand_to_tcp if palm else 0.0
+
+    def mirrored(corner: tuple[float, float]) -> tuple[float, float]:
+        return -corner[0], -corner[1]
+
+    def vectors(*rows: tuple[float, float]) -> wp.array:
+        return wp.array(rows, dtype=vec2d, device=device)
+
+    faces = Faces()
+    faces.low = vectors(pad_low, pad_low, mirrored(platform), mirrored(palm_corner))
+    faces.high = vectors(pad_high, pad_high, platform, palm_corner)
+    faces.fillet_low = vectors(pad_fillet_low, pad_fillet_low, sharp, sharp)
+    faces.fillet_high = vectors(pad_fillet_high, pad_fillet_high, sharp, sharp)
+    faces.depth = wp.array([pad_depth, pad_depth, UNBOUNDED, palm_depth], dtype=wp.float64, device=device)
+    return faces
 
 
 def incidence(cells: np.ndarray, node_count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

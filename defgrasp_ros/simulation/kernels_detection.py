@@ -1,312 +1,609 @@
-"""Kernels that find the contact points between the object's surface and the bodies; see ``kernels_contact``."""
+"""Kernels that find the contact points between the object's surface and the bodies.
+
+The gap to a body (see ``kernels_faces``) is a convex function along each edge and over each triangle of the surface,
+so the surface stays out of the body when it does so at
+
+    * the nodes within the body's outline,
+    * the point of each edge with the smallest gap, where that is inside the edge, and
+    * the point of each triangle with the smallest gap, where that is inside the triangle.
+
+On the flat part of a face the gap is linear. Where edge and face are parallel the smallest gap lies on a whole
+stretch of the edge, over the flat part; both ends count, so that the choice between them does not flicker. Thus an
+edge over the flat part has up to two points, where it leaves it, and each may lie in the fillet beyond, where the gap
+has its minimum. A triangle has up to four, one for each corner of the flat part. With sharp edges these are
+the crossings of edges with the outline and the outline's corners.
+
+Points that nearly coincide would make the contact problem singular; of those the one with the smallest gap stays.
+"""
 
 import warp as wp
 
 from defgrasp_ros.simulation.kernels_contact import (
-    LEFT_PAD,
-    PLATFORM,
-    Bodies,
     ContactList,
-    Outline,
-    Surface,
-    body_gap,
-    contact_normal,
+    copy_contact,
+    interpolate,
+    interpolate_rest,
 )
-from defgrasp_ros.simulation.types import vec2d, vec3d
+from defgrasp_ros.simulation.kernels_faces import (
+    BODY_COUNT,
+    RIM,
+    RIM_SLOPE,
+    Bodies,
+    Faces,
+    contact_frame,
+    drop,
+    is_pad,
+    outline_high,
+    outline_low,
+    to_face,
+)
+from defgrasp_ros.simulation.types import mat33d, vec2d, vec3d
 
 wp.set_module_options({"enable_backward": False})
 
-SNAP = wp.constant(wp.float64(0.1))
-"""Fraction of an edge within which a crossing counts as the node at its end."""
+SAME_POINT = wp.constant(wp.float64(0.1))
+"""Points whose weights differ by less than this at every node are one."""
+KEPT_SHIFT = wp.constant(wp.float64(0.02))
+"""A point found again with weights that changed by less than this stays where it was in the material."""
+KEPT_TILT = wp.constant(wp.float64(1e-3))
+"""Change of a contact's normal that makes its compliance stale."""
+BISECTIONS = wp.constant(50)
+"""Halvings in the search for the smallest gap along an edge: to rounding."""
+CHUNK = 64
+"""Features of the surface per word of the bit field of those that can touch."""
+
+EDGE_POINTS = wp.constant(2)
+TRIANGLE_POINTS = wp.constant(4)
+
+
+@wp.struct
+class Surface:
+    """The boundary of the mesh. Its features are numbered: nodes first, then edges, then triangles."""
+
+    nodes: wp.array[int]  # (surface node,)
+    triangles: wp.array2d[int]  # (triangle, 3)
+    edges: wp.array2d[int]  # (edge, 2)
+    incidence_start: wp.array[int]  # (node + 1,): triangles around a node
+    incidence_triangle: wp.array[int]  # (incidence,)
+    edge_key: int
+    """First key of a point on an edge."""
+    triangle_key: int
+    """First key of a point in a triangle."""
+    body_key: int
+    """Number of keys per body."""
+
+
+@wp.struct
+class Scene:
+    """Everything that the search looks at."""
+
+    surface: Surface
+    faces: Faces
+    bodies: Bodies
+    rest: wp.array[vec3d]  # (node,) [m]
+    displacement: wp.array2d[vec3d]  # (world, node) [m]
+    normal: wp.array2d[vec3d]  # (world, node): outward
+    outside: wp.array2d[int]  # (world, node): bits that tell on which sides of each body a node lies
+
+
+@wp.struct
+class Candidate:
+    """A point of the surface in front of a body, or in it."""
+
+    key: int
+    nodes: wp.vec3i
+    weights: vec3d
+    place: vec3d  # in the face's frame, see to_face [m]
+    outward: vec3d  # of the surface, any length
 
 
 @wp.func
-def triangle_normal(
-    surface: Surface, rest: wp.array[vec3d], displacement: wp.array2d[vec3d], world: int, t: int
-) -> vec3d:
-    """Outward normal of a deformed surface triangle, twice its area long [m^2]."""
-    a = surface.triangles[t, 0]
-    b = surface.triangles[t, 1]
-    c = surface.triangles[t, 2]
-    xa = rest[a] + displacement[world, a]
-    return wp.cross(rest[b] + displacement[world, b] - xa, rest[c] + displacement[world, c] - xa)
+def position(scene: Scene, world: int, node: int) -> vec3d:
+    """Place of a node [m]."""
+    return scene.rest[node] + scene.displacement[world, node]
+
+
+@wp.func
+def triangle_normal(scene: Scene, world: int, t: int) -> vec3d:
+    """Outward normal of a surface triangle, twice its area long [m^2]."""
+    a = position(scene, world, scene.surface.triangles[t, 0])
+    b = position(scene, world, scene.surface.triangles[t, 1])
+    c = position(scene, world, scene.surface.triangles[t, 2])
+    return wp.cross(b - a, c - a)
 
 
 @wp.kernel
-def surface_normals(
-    surface: Surface,
-    rest: wp.array[vec3d],  # (node,) [m]
-    worlds: wp.array[int],  # (row,)
-    displacement: wp.array2d[vec3d],  # (world, node) [m]
-    normal_out: wp.array2d[vec3d],  # (row, node)
-):
-    """Outward normal of each surface node: area-weighted mean of its triangles."""
+def look_at_nodes(scene: Scene, margin: wp.float64, worlds: wp.array[int]):
+    """Outward normal of each surface node, and on which sides of the bodies it lies.
+
+    The normal is the area-weighted mean of the triangles around. Each body has six bits: too far in front or behind,
+    and beyond each end of the outline. A feature whose nodes share a bit cannot touch.
+    """
     i, s = wp.tid()
-    n = surface.nodes[s]
+    w = worlds[i]
+    n = scene.surface.nodes[s]
     total = vec3d()
-    for k in range(surface.incidence_start[n], surface.incidence_start[n + 1]):
-        total += triangle_normal(surface, rest, displacement, worlds[i], surface.incidence_triangle[k])
-    normal_out[i, n] = wp.normalize(total)
+    for k in range(scene.surface.incidence_start[n], scene.surface.incidence_start[n + 1]):
+        total += triangle_normal(scene, w, scene.surface.incidence_triangle[k])
+    scene.normal[w, n] = wp.normalize(total)
+
+    x = position(scene, w, n)
+    bits = int(0)
+    for body in range(wp.static(BODY_COUNT)):
+        p = to_face(scene.bodies, w, body, x)
+        low = outline_low(scene.faces, body)
+        high = outline_high(scene.faces, body)
+        round_low = scene.faces.fillet_low[body]
+        round_high = scene.faces.fillet_high[body]
+        lowest = wp.max(round_low[0], round_high[0]) + wp.max(round_low[1], round_high[1])
+        side = int(0)
+        if p[2] > RIM_SLOPE * wp.max(margin, wp.float64(0.0)):
+            side += 1
+        if p[2] < -scene.faces.depth[body] - lowest:
+            side += 2
+        if p[0] < low[0]:
+            side += 4
+        if p[0] > high[0]:
+            side += 8
+        if p[1] < low[1]:
+            side += 16
+        if p[1] > high[1]:
+            side += 32
+        bits += side << (6 * body)
+    scene.outside[w, n] = bits
 
 
 @wp.func
-def pad_coordinates(bodies: Bodies, world: int, x: vec3d) -> vec2d:
-    """Position of a point across (x) and along (z) the pads in the grasp frame [m]."""
-    frame = bodies.frame[world, LEFT_PAD]
-    r = x - bodies.origin[world]
-    return vec2d(
-        frame[1, 0] * r[0] + frame[1, 1] * r[1] + frame[1, 2] * r[2],
-        frame[2, 0] * r[0] + frame[2, 1] * r[1] + frame[2, 2] * r[2],
-    )
+def shared_sides(scene: Scene, world: int, feature: int) -> int:
+    """Bits that all nodes of a feature have."""
+    surface = scene.surface
+    node_count = surface.nodes.shape[0]
+    edge_count = surface.edges.shape[0]
+    if feature < node_count:
+        return scene.outside[world, surface.nodes[feature]]
+    if feature < node_count + edge_count:
+        e = feature - node_count
+        return scene.outside[world, surface.edges[e, 0]] & scene.outside[world, surface.edges[e, 1]]
+    t = feature - node_count - edge_count
+    both = scene.outside[world, surface.triangles[t, 0]] & scene.outside[world, surface.triangles[t, 1]]
+    return both & scene.outside[world, surface.triangles[t, 2]]
 
 
 @wp.func
-def inside(p: vec2d, outline: Outline, margin: wp.float64) -> bool:
-    """Whether a point lies in the outline grown by a margin."""
-    return (
-        wp.abs(p[0]) <= outline.half_width + margin and p[1] >= outline.bottom - margin and p[1] <= outline.top + margin
-    )
+def feature_count(surface: Surface) -> int:
+    """Number of nodes, edges and triangles of the surface."""
+    return surface.nodes.shape[0] + surface.edges.shape[0] + surface.triangles.shape[0]
+
+
+@wp.kernel
+def screen_features(scene: Scene, worlds: wp.array[int], near_out: wp.array3d[wp.uint64]):
+    """Set the bits of the features that can touch a body; output (row, body, chunk)."""
+    i, chunk = wp.tid()
+    w = worlds[i]
+    for body in range(wp.static(BODY_COUNT)):
+        near_out[i, body, chunk] = wp.uint64(0)
+    for k in range(wp.static(CHUNK)):
+        feature = chunk * wp.static(CHUNK) + k
+        if feature >= feature_count(scene.surface):
+            return
+        sides = shared_sides(scene, w, feature)
+        for body in range(wp.static(BODY_COUNT)):
+            if scene.bodies.enabled[w, body] != 0 and ((sides >> (6 * body)) & 63) == 0:
+                near_out[i, body, chunk] = near_out[i, body, chunk] | (wp.uint64(1) << wp.uint64(k))
+
+
+# --- one candidate --------------------------------------------------------------------------------------------------
 
 
 @wp.func
-def side_crossing(a: vec2d, b: vec2d, outline: Outline, side: int) -> wp.float64:
-    """Return the fraction of the segment a-b at which it crosses a side of the outline, or -1."""
-    axis = side // 2
-    other = 1 - axis
-    level = outline.half_width
-    if side == 0:
-        level = -outline.half_width
-    elif side == 2:
-        level = outline.bottom
-    elif side == 3:
-        level = outline.top
-    da = a[axis] - level
-    db = b[axis] - level
-    if da * db >= wp.float64(0.0):
-        return wp.float64(-1.0)
-    s = da / (da - db)
-    along = a[other] + s * (b[other] - a[other])
-    low = -outline.half_width
-    high = outline.half_width
-    if axis == 0:
-        low = outline.bottom
-        high = outline.top
-    if along < low or along > high:
-        return wp.float64(-1.0)
-    return s
+def weight_of(node: int, nodes: wp.vec3i, weights: vec3d) -> wp.float64:
+    """Weight of a node in a weighted mean, 0 if it has no part in it."""
+    total = wp.float64(0.0)
+    for k in range(3):
+        if nodes[k] == node:
+            total += weights[k]
+    return total
 
 
 @wp.func
-def outline_corner(outline: Outline, corner: int) -> vec2d:
-    """Corner 0..3 of the outline."""
-    x = outline.half_width
-    if corner % 2 == 0:
-        x = -x
-    z = outline.top
-    if corner < 2:
-        z = outline.bottom
-    return vec2d(x, z)
+def same_point(nodes_a: wp.vec3i, weights_a: vec3d, nodes_b: wp.vec3i, weights_b: vec3d) -> bool:
+    """Whether two weighted means are nearly the same."""
+    for k in range(3):
+        node = nodes_a[k]
+        if wp.abs(weight_of(node, nodes_a, weights_a) - weight_of(node, nodes_b, weights_b)) > SAME_POINT:
+            return False
+        node = nodes_b[k]
+        if wp.abs(weight_of(node, nodes_a, weights_a) - weight_of(node, nodes_b, weights_b)) > SAME_POINT:
+            return False
+    return True
 
 
 @wp.func
-def barycentric(p: vec2d, a: vec2d, b: vec2d, c: vec2d) -> vec3d:
-    """Weights of p in the plane triangle a b c; one is negative where p lies outside."""
-    ab = b - a
-    ac = c - a
-    ap = p - a
-    det = ab[0] * ac[1] - ab[1] * ac[0]
-    if wp.abs(det) < wp.float64(1e-18):
-        return vec3d(wp.float64(-1.0), wp.float64(-1.0), wp.float64(-1.0))
-    v = (ap[0] * ac[1] - ap[1] * ac[0]) / det
-    w = (ab[0] * ap[1] - ab[1] * ap[0]) / det
-    return vec3d(wp.float64(1.0) - v - w, v, w)
+def within_outline(faces: Faces, body: int, p: vec3d) -> bool:
+    """Whether a place on a face lies within its outline."""
+    low = outline_low(faces, body)
+    high = outline_high(faces, body)
+    return p[0] >= low[0] and p[0] <= high[0] and p[1] >= low[1] and p[1] <= high[1]
 
 
 @wp.func
-def append(
-    contacts: ContactList,
+def touch(scene: Scene, world: int, body: int, x: vec3d, place: vec3d, contacts: ContactList, row: int, c: int):
+    """Write frame, tangent plane and face normal of a contact at x."""
+    h = drop(scene.faces, body, vec2d(place[0], place[1]))
+    face = scene.bodies.frame[world, body]
+    frame = contact_frame(face, vec2d(h[1], h[2]))
+    axis = frame * vec3d(face[0, 0], face[0, 1], face[0, 2])
+    here = frame * x
+    plane = here[0] - axis[0] * (place[2] + h[0])
+    if is_pad(body):
+        plane += axis[0] * scene.bodies.opening[world]
+    contacts.frame[row, c] = frame
+    contacts.axis[row, c] = axis
+    contacts.plane[row, c] = plane
+
+
+@wp.func
+def propose(
+    scene: Scene,
+    margin: wp.float64,
+    tie: wp.float64,
     world: int,
-    count: int,
-    key: int,
     body: int,
-    nodes: wp.vec3i,
-    weights: vec3d,
-    gap: wp.float64,
+    candidate: Candidate,
+    contacts: ContactList,
     gaps: wp.array2d[wp.float64],
+    row: int,
+    count: int,
 ) -> int:
-    """Write a candidate if there is room, and return the count with it: a count above the capacity tells to grow."""
-    if count < contacts.key.shape[1]:
-        contacts.key[world, count] = key
-        contacts.body[world, count] = body
-        contacts.nodes[world, count] = nodes
-        contacts.weights[world, count] = weights
-        contacts.force[world, count] = vec3d()
-        gaps[world, count] = gap
+    """List a candidate, in place of those that it nearly coincides with, and return the number of entries.
+
+    It is not listed if it is too far away or one like it is as deep. Entries that have lost their place have key -1;
+    a number above the capacity tells that the list must grow.
+    """
+    p = candidate.place
+    h = drop(scene.faces, body, vec2d(p[0], p[1]))
+    outward_here = scene.bodies.frame[world, body] * candidate.outward
+    gap = (p[2] + h[0]) / wp.sqrt(wp.float64(1.0) + h[1] * h[1] + h[2] * h[2])
+    if gap > margin or p[2] + h[0] < -scene.faces.depth[body]:
+        return count
+    if outward_here[0] + h[1] * outward_here[1] + h[2] * outward_here[2] >= wp.float64(0.0):
+        return count
+    capacity = contacts.key.shape[1]
+    for c in range(wp.min(count, capacity)):
+        if contacts.key[row, c] >= 0 and gap >= gaps[row, c] - tie:
+            if same_point(candidate.nodes, candidate.weights, contacts.nodes[row, c], contacts.weights[row, c]):
+                return count
+    for c in range(wp.min(count, capacity)):
+        if contacts.key[row, c] >= 0:
+            if same_point(candidate.nodes, candidate.weights, contacts.nodes[row, c], contacts.weights[row, c]):
+                contacts.key[row, c] = -1
+    if count < capacity:
+        contacts.key[row, count] = body * scene.surface.body_key + candidate.key
+        contacts.body[row, count] = body
+        contacts.nodes[row, count] = candidate.nodes
+        contacts.weights[row, count] = candidate.weights
+        contacts.force[row, count] = vec3d()
+        gaps[row, count] = gap
+        x = interpolate_rest(scene.rest, candidate.nodes, candidate.weights)
+        x += interpolate(scene.displacement, world, candidate.nodes, candidate.weights)
+        touch(scene, world, body, x, p, contacts, row, count)
     return count + 1
 
 
+# --- the point of an edge with the smallest gap ----------------------------------------------------------------------
+
+
 @wp.func
-def find_nodes(
-    surface: Surface,
-    outline: Outline,
-    rest: wp.array[vec3d],
+def clip(a: vec3d, b: vec3d, low: vec2d, high: vec2d) -> vec2d:
+    """Return the range of fractions of the segment a-b within a rectangle; its end is below its start if none is."""
+    start = wp.float64(0.0)
+    end = wp.float64(1.0)
+    for k in range(2):
+        d = b[k] - a[k]
+        if d == wp.float64(0.0):
+            if a[k] < low[k] or a[k] > high[k]:
+                return vec2d(wp.float64(1.0), wp.float64(0.0))
+        else:
+            first = (low[k] - a[k]) / d
+            second = (high[k] - a[k]) / d
+            start = wp.max(start, wp.min(first, second))
+            end = wp.min(end, wp.max(first, second))
+    return vec2d(start, end)
+
+
+@wp.func
+def gap_slope(faces: Faces, body: int, a: vec3d, b: vec3d, f: wp.float64) -> wp.float64:
+    """Derivative of the gap with the fraction f of the segment a-b [m]."""
+    d = b - a
+    p = a + f * d
+    h = drop(faces, body, vec2d(p[0], p[1]))
+    return d[2] + h[1] * d[0] + h[2] * d[1]
+
+
+@wp.func
+def smallest_gap(
+    faces: Faces, body: int, a: vec3d, b: vec3d, start: wp.float64, end: wp.float64
+) -> wp.float64:
+    """Return the fraction of the segment a-b, from start to end, where the gap is smallest."""
+    low = start
+    high = end
+    if gap_slope(faces, body, a, b, low) >= wp.float64(0.0):
+        return low
+    if gap_slope(faces, body, a, b, high) <= wp.float64(0.0):
+        return high
+    for _ in range(BISECTIONS):
+        middle = wp.float64(0.5) * (low + high)
+        if gap_slope(faces, body, a, b, middle) < wp.float64(0.0):
+            low = middle
+        else:
+            high = middle
+    return wp.float64(0.5) * (low + high)
+
+
+@wp.func
+def edge_point(faces: Faces, body: int, a: vec3d, b: vec3d, which: int) -> wp.float64:
+    """Return the fraction of the edge a-b at its first or second point, or -1 where it has none inside."""
+    none = wp.float64(-1.0)
+    whole = clip(a, b, outline_low(faces, body), outline_high(faces, body))
+    if whole[0] > whole[1]:
+        return none
+    flat = clip(a, b, faces.low[body], faces.high[body])
+    f = none
+    if flat[0] > flat[1]:
+        if which == 0:
+            f = smallest_gap(faces, body, a, b, whole[0], whole[1])
+    elif which == 0:
+        f = smallest_gap(faces, body, a, b, whole[0], flat[0])
+    else:
+        f = smallest_gap(faces, body, a, b, flat[1], whole[1])
+    if f <= wp.float64(0.0) or f >= wp.float64(1.0):
+        return none
+    return f
+
+
+# --- the points of a triangle with the smallest gap ------------------------------------------------------------------
+
+
+@wp.func
+def lowest_beyond(
+    end: wp.float64, outward: wp.float64, radius: wp.float64, slope: wp.float64
+) -> wp.float64:
+    """Return the coordinate at or beyond an end of the flat part at which slope * p + h(p) is smallest [m]."""
+    m = outward * slope
+    d = wp.float64(0.0)
+    if m < wp.float64(0.0):
+        d = wp.min(-m / wp.sqrt(wp.float64(1.0) + m * m), RIM) * radius
+    return end + outward * d
+
+
+@wp.func
+def triangle_point(faces: Faces, body: int, a: vec3d, b: vec3d, c: vec3d, corner: int) -> vec3d:
+    """Return the weights of the point of a triangle with the smallest gap at or beyond a corner of the flat part.
+
+    One is not positive where that point lies outside the triangle.
+    """
+    one = wp.float64(1.0)
+    ab = b - a
+    ac = c - a
+    area = ab[0] * ac[1] - ab[1] * ac[0]
+    if wp.abs(area) <= wp.float64(1e-6) * wp.length(wp.cross(ab, ac)):
+        return vec3d(-one, -one, -one)
+    slope_0 = (ab[2] * ac[1] - ac[2] * ab[1]) / area
+    slope_1 = (ab[0] * ac[2] - ac[0] * ab[2]) / area
+    end_0 = faces.low[body][0]
+    outward_0 = -one
+    radius_0 = faces.fillet_low[body][0]
+    if corner % 2 == 1:
+        end_0 = faces.high[body][0]
+        outward_0 = one
+        radius_0 = faces.fillet_high[body][0]
+    end_1 = faces.low[body][1]
+    outward_1 = -one
+    radius_1 = faces.fillet_low[body][1]
+    if corner >= 2:
+        end_1 = faces.high[body][1]
+        outward_1 = one
+        radius_1 = faces.fillet_high[body][1]
+    p = lowest_beyond(end_0, outward_0, radius_0, slope_0) - a[0]
+    q = lowest_beyond(end_1, outward_1, radius_1, slope_1) - a[1]
+    weight_b = (p * ac[1] - q * ac[0]) / area
+    weight_c = (ab[0] * q - ab[1] * p) / area
+    return vec3d(one - weight_b - weight_c, weight_b, weight_c)
+
+
+# --- the search ------------------------------------------------------------------------------------------------------
+
+
+@wp.func
+def propose_node(
+    scene: Scene,
     margin: wp.float64,
-    bodies: Bodies,
+    tie: wp.float64,
     world: int,
     body: int,
-    displacement: wp.array2d[vec3d],
-    normals: wp.array2d[vec3d],
-    row: int,
-    first: int,
+    n: int,
     contacts: ContactList,
     gaps: wp.array2d[wp.float64],
+    row: int,
+    count: int,
 ) -> int:
-    """List the nodes in front of a body after the first entries; return how many entries there are then."""
+    """List a node; see propose."""
+    candidate = Candidate()
+    candidate.place = to_face(scene.bodies, world, body, position(scene, world, n))
+    if not within_outline(scene.faces, body, candidate.place):
+        return count
+    candidate.key = n
+    candidate.nodes = wp.vec3i(n, n, n)
+    candidate.weights = vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0))
+    candidate.outward = scene.normal[world, n]
+    return propose(scene, margin, tie, world, body, candidate, contacts, gaps, row, count)
+
+
+@wp.func
+def propose_edge(
+    scene: Scene,
+    margin: wp.float64,
+    tie: wp.float64,
+    world: int,
+    body: int,
+    e: int,
+    contacts: ContactList,
+    gaps: wp.array2d[wp.float64],
+    row: int,
+    first: int,
+) -> int:
+    """List the points of an edge; see propose."""
     count = first
-    one = wp.float64(1.0)
-    zero = wp.float64(0.0)
-    towards = contact_normal(bodies, world, body)
-    for s in range(surface.nodes.shape[0]):
-        n = surface.nodes[s]
-        x = rest[n] + displacement[world, n]
-        gap = body_gap(bodies, world, body, x)
-        if gap > margin or wp.dot(normals[row, n], towards) >= zero:
-            continue
-        if body != PLATFORM:
-            if gap < -outline.depth or not inside(pad_coordinates(bodies, world, x), outline, outline.snap):
-                continue
-        key = body * surface.body_key + n
-        count = append(contacts, world, count, key, body, wp.vec3i(n, n, n), vec3d(one, zero, zero), gap, gaps)
+    a = scene.surface.edges[e, 0]
+    b = scene.surface.edges[e, 1]
+    pa = to_face(scene.bodies, world, body, position(scene, world, a))
+    pb = to_face(scene.bodies, world, body, position(scene, world, b))
+    candidate = Candidate()
+    candidate.nodes = wp.vec3i(a, b, b)
+    candidate.outward = scene.normal[world, a] + scene.normal[world, b]
+    for k in range(EDGE_POINTS):
+        f = edge_point(scene.faces, body, pa, pb, k)
+        if f > wp.float64(0.0):
+            candidate.key = scene.surface.edge_key + EDGE_POINTS * e + k
+            candidate.weights = vec3d(wp.float64(1.0) - f, f, wp.float64(0.0))
+            candidate.place = pa + f * (pb - pa)
+            count = propose(scene, margin, tie, world, body, candidate, contacts, gaps, row, count)
     return count
 
 
 @wp.func
-def find_crossings(
-    surface: Surface,
-    outline: Outline,
-    rest: wp.array[vec3d],
+def propose_triangle(
+    scene: Scene,
     margin: wp.float64,
-    bodies: Bodies,
+    tie: wp.float64,
     world: int,
     body: int,
-    displacement: wp.array2d[vec3d],
-    normals: wp.array2d[vec3d],
+    t: int,
+    contacts: ContactList,
+    gaps: wp.array2d[wp.float64],
     row: int,
     first: int,
-    contacts: ContactList,
-    gaps: wp.array2d[wp.float64],
 ) -> int:
-    """List the points where surface edges cross the outline of a pad; see find_nodes."""
+    """List the points of a triangle; see propose."""
     count = first
-    one = wp.float64(1.0)
-    zero = wp.float64(0.0)
-    towards = contact_normal(bodies, world, body)
-    for e in range(surface.edges.shape[0]):
-        a = surface.edges[e, 0]
-        b = surface.edges[e, 1]
-        xa = rest[a] + displacement[world, a]
-        xb = rest[b] + displacement[world, b]
-        gap_a = body_gap(bodies, world, body, xa)
-        gap_b = body_gap(bodies, world, body, xb)
-        if wp.min(gap_a, gap_b) > margin or wp.max(gap_a, gap_b) < -outline.depth:
-            continue
-        if wp.dot(normals[row, a] + normals[row, b], towards) >= zero:
-            continue
-        pa = pad_coordinates(bodies, world, xa)
-        pb = pad_coordinates(bodies, world, xb)
-        a_inside = inside(pa, outline, outline.snap)
-        b_inside = inside(pb, outline, outline.snap)
-        for side in range(4):
-            f = side_crossing(pa, pb, outline, side)
-            if f < zero or (a_inside and f < SNAP) or (b_inside and f > one - SNAP):
-                continue
-            gap = (one - f) * gap_a + f * gap_b
-            if gap > margin or gap < -outline.depth:
-                continue
-            key = body * surface.body_key + surface.edge_key + 4 * e + side
-            count = append(contacts, world, count, key, body, wp.vec3i(a, b, b), vec3d(one - f, f, zero), gap, gaps)
-    return count
-
-
-@wp.func
-def find_corners(
-    surface: Surface,
-    outline: Outline,
-    rest: wp.array[vec3d],
-    margin: wp.float64,
-    bodies: Bodies,
-    world: int,
-    body: int,
-    displacement: wp.array2d[vec3d],
-    first: int,
-    contacts: ContactList,
-    gaps: wp.array2d[wp.float64],
-) -> int:
-    """List the points of surface triangles under the corners of a pad; see find_nodes."""
-    count = first
-    one = wp.float64(1.0)
-    zero = wp.float64(0.0)
-    towards = contact_normal(bodies, world, body)
-    for t in range(surface.triangles.shape[0]):
-        a = surface.triangles[t, 0]
-        b = surface.triangles[t, 1]
-        c = surface.triangles[t, 2]
-        xa = rest[a] + displacement[world, a]
-        xb = rest[b] + displacement[world, b]
-        xc = rest[c] + displacement[world, c]
-        corner_gaps = vec3d(
-            body_gap(bodies, world, body, xa), body_gap(bodies, world, body, xb), body_gap(bodies, world, body, xc)
-        )
-        if wp.min(corner_gaps) > margin or wp.max(corner_gaps) < -outline.depth:
-            continue
-        if wp.dot(wp.cross(xb - xa, xc - xa), towards) >= zero:
-            continue
-        pa = pad_coordinates(bodies, world, xa)
-        pb = pad_coordinates(bodies, world, xb)
-        pc = pad_coordinates(bodies, world, xc)
-        for corner in range(4):
-            weights = barycentric(outline_corner(outline, corner), pa, pb, pc)
-            if wp.min(weights) < zero or wp.max(weights) > one - SNAP:
-                continue
-            gap = wp.dot(weights, corner_gaps)
-            if gap > margin or gap < -outline.depth:
-                continue
-            key = body * surface.body_key + surface.corner_key + 4 * t + corner
-            count = append(contacts, world, count, key, body, wp.vec3i(a, b, c), weights, gap, gaps)
+    a = scene.surface.triangles[t, 0]
+    b = scene.surface.triangles[t, 1]
+    c = scene.surface.triangles[t, 2]
+    pa = to_face(scene.bodies, world, body, position(scene, world, a))
+    pb = to_face(scene.bodies, world, body, position(scene, world, b))
+    pc = to_face(scene.bodies, world, body, position(scene, world, c))
+    candidate = Candidate()
+    candidate.nodes = wp.vec3i(a, b, c)
+    candidate.outward = triangle_normal(scene, world, t)
+    for k in range(TRIANGLE_POINTS):
+        weights = triangle_point(scene.faces, body, pa, pb, pc, k)
+        if wp.min(weights) > wp.float64(0.0):
+            candidate.key = scene.surface.triangle_key + TRIANGLE_POINTS * t + k
+            candidate.weights = weights
+            candidate.place = weights[0] * pa + weights[1] * pb + weights[2] * pc
+            count = propose(scene, margin, tie, world, body, candidate, contacts, gaps, row, count)
     return count
 
 
 @wp.kernel
-def find_contacts(
-    surface: Surface,
-    outline: Outline,
-    rest: wp.array[vec3d],  # (node,) [m]
+def propose_contacts(
+    scene: Scene,
+    near: wp.array3d[wp.uint64],  # (row, body, chunk)
     margin: wp.float64,  # [m]
-    bodies: Bodies,
+    tie: wp.float64,  # [m]
     worlds: wp.array[int],  # (row,)
-    displacement: wp.array2d[vec3d],  # (world, node) [m]
-    normals: wp.array2d[vec3d],  # (row, node)
     # Out:
-    contacts: ContactList,
+    proposed: ContactList,  # row: body + BODY_COUNT * row of worlds
+    gap_out: wp.array2d[wp.float64],  # [m]
+):
+    """List the candidates of each world and body with a gap below the margin, in ascending order of their keys."""
+    i, body = wp.tid()
+    w = worlds[i]
+    row = wp.static(BODY_COUNT) * i + body
+    node_count = scene.surface.nodes.shape[0]
+    edge_count = scene.surface.edges.shape[0]
+    count = int(0)
+    for chunk in range(near.shape[2]):
+        bits = near[i, body, chunk]
+        k = int(0)
+        while bits != wp.uint64(0):
+            if (bits & wp.uint64(1)) != wp.uint64(0):
+                feature = chunk * wp.static(CHUNK) + k
+                edge = feature - node_count
+                triangle = edge - edge_count
+                if edge < 0:
+                    node = scene.surface.nodes[feature]
+                    count = propose_node(scene, margin, tie, w, body, node, proposed, gap_out, row, count)
+                elif triangle < 0:
+                    count = propose_edge(scene, margin, tie, w, body, edge, proposed, gap_out, row, count)
+                else:
+                    count = propose_triangle(scene, margin, tie, w, body, triangle, proposed, gap_out, row, count)
+            bits = bits >> wp.uint64(1)
+            k += 1
+    proposed.count[row] = count
+
+
+@wp.kernel
+def join_bodies(
+    proposed: ContactList,
+    proposed_gap: wp.array2d[wp.float64],
+    worlds: wp.array[int],  # (row,)
+    # Out:
+    found: ContactList,
     gap_out: wp.array2d[wp.float64],  # (world, contact) [m]
 ):
-    """List all candidate points of a world with a gap below the margin, in ascending order of their keys.
-
-    A count above the capacity tells that the list must grow.
-    """
+    """Put the candidates of all bodies of a world into one list; a count above the capacity tells to grow."""
     i = wp.tid()
     w = worlds[i]
     count = int(0)
-    for body in range(3):
-        if bodies.enabled[w, body] != 0:
-            count = find_nodes(
-                surface, outline, rest, margin, bodies, w, body, displacement, normals, i, count, contacts, gap_out
-            )
-            if body != PLATFORM:
-                count = find_crossings(
-                    surface, outline, rest, margin, bodies, w, body, displacement, normals, i, count, contacts, gap_out
-                )
-                count = find_corners(
-                    surface, outline, rest, margin, bodies, w, body, displacement, count, contacts, gap_out
-                )
-    contacts.count[w] = count
+    for body in range(wp.static(BODY_COUNT)):
+        row = wp.static(BODY_COUNT) * i + body
+        for k in range(wp.min(proposed.count[row], proposed.key.shape[1])):
+            if proposed.key[row, k] >= 0:
+                if count < found.key.shape[1]:
+                    copy_contact(proposed, row, k, found, w, count)
+                    gap_out[w, count] = proposed_gap[row, k]
+                count += 1
+    found.count[w] = count
+
+
+@wp.kernel
+def carry_forces(
+    scene: Scene,
+    worlds: wp.array[int],  # (row,)
+    former: ContactList,
+    found_gap: wp.array2d[wp.float64],  # (world, contact) [m]
+    penetration: wp.float64,  # [m]
+    # In and out:
+    found: ContactList,
+    # Out:
+    compliance_is_stale: wp.array[int],  # (world,): set where the points changed
+    missing_out: wp.array[int],  # (row,): unlisted points deeper than the penetration
+):
+    """Give points found again their force and their place in the material; both lists are sorted by key."""
+    i = wp.tid()
+    w = worlds[i]
+    k = int(0)
+    same = int(0)
+    missing = int(0)
+    for c in range(found.count[w]):
+        while k < former.count[w] and former.key[w, k] < found.key[w, c]:
+            k += 1
+        if k < former.count[w] and former.key[w, k] == found.key[w, c]:
+            found.force[w, c] = former.force[w, k]
+            shift = wp.max(wp.abs(found.weights[w, c] - former.weights[w, k]))
+            if shift < KEPT_SHIFT:
+                nodes = former.nodes[w, k]
+                weights = former.weights[w, k]
+                found.weights[w, c] = weights
+                body = found.body[w, c]
+                x = interpolate_rest(scene.rest, nodes, weights)
+                x += interpolate(scene.displacement, w, nodes, weights)
+                touch(scene, w, body, x, to_face(scene.bodies, w, body, x), found, w, c)
+                if wp.max(wp.abs(found.axis[w, c] - former.axis[w, k])) < KEPT_TILT:
+                    same += 1
+        elif found_gap[w, c] < -penetration:
+            missing += 1
+    if same != found.count[w] or found.count[w] != former.count[w]:
+        compliance_is_stale[w] = 1
+    missing_out[i] = missing

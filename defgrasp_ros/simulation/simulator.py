@@ -1,4 +1,4 @@
-"""Many worlds of one deformable object between two pads over a platform.
+"""Many worlds of one deformable object between two pads, over a platform, in front of a palm.
 
 The hand stands still in the object frame; only the pads slide along the closing axis and the platform sinks.
 How a step is solved is in :mod:`stepper`.
@@ -13,8 +13,8 @@ from defgrasp_ros.errors import NotFoundError
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.simulation import kernels_contact as contact
 from defgrasp_ros.simulation import kernels_elasticity as elastic
+from defgrasp_ros.simulation import kernels_faces as faces
 from defgrasp_ros.simulation.contact_forces import ContactForces
 from defgrasp_ros.simulation.contact_set import ContactSet
 from defgrasp_ros.simulation.dense import algebra_for
@@ -65,8 +65,8 @@ class Simulator:
 
     def place_platform(self, worlds: np.ndarray, height: float) -> None:
         """Put the platform's surface at z = ``height`` [m]."""
-        set_entries(self._state.bodies.enabled, (worlds, contact.PLATFORM), 1)
-        set_entries(self._state.bodies.base, (worlds, contact.PLATFORM), height)
+        set_entries(self._state.bodies.enabled, (worlds, faces.PLATFORM), 1)
+        set_entries(self._state.bodies.base, (worlds, faces.PLATFORM), height)
 
     def place_gripper(
         self, worlds: np.ndarray, grasps: list[Grasp], opening: np.ndarray, full_force: np.ndarray
@@ -83,10 +83,13 @@ class Simulator:
         rotation = np.array([g.rotation for g in grasps])
         origin = np.array([g.position for g in grasps])
         x, y, z = rotation[:, :, 0], rotation[:, :, 1], rotation[:, :, 2]
-        for pad, normal in ((contact.LEFT_PAD, -y), (contact.RIGHT_PAD, y)):
-            set_entries(bodies.enabled, (worlds, pad), 1)
-            set_entries(bodies.frame, (worlds, pad), np.stack([normal, x, z], axis=1))
-            set_entries(bodies.base, (worlds, pad), np.einsum("ij,ij->i", normal, origin))
+        placed = [(faces.LEFT_PAD, (-y, x, z), 0.0), (faces.RIGHT_PAD, (y, x, z), 0.0)]
+        if self.gripper.palm:
+            placed.append((faces.PALM, (z, x, y), self.gripper.palm.face))
+        for body, frame, height in placed:
+            set_entries(bodies.enabled, (worlds, body), 1)
+            set_entries(bodies.frame, (worlds, body), np.stack(frame, axis=1))
+            set_entries(bodies.base, (worlds, body), np.einsum("ij,ij->i", frame[0], origin) + height)
         set_entries(bodies.origin, worlds, origin)
         set_entries(bodies.opening, worlds, opening)
         set_entries(state.start_opening, worlds, opening)
@@ -148,7 +151,7 @@ class Simulator:
                 state.closing_force, worlds[some], start_force[some] + share * (closing_force - start_force)[some]
             )
             heights = start_height[some] + share * (platform_height - start_height)[some]
-            set_entries(state.bodies.base, (worlds[some], contact.PLATFORM), heights)
+            set_entries(state.bodies.base, (worlds[some], faces.PLATFORM), heights)
             compliance = self._compliances[step_length / pieces]
             scale = self._force_scale[worlds[some]]
             return self._stepper.step(worlds[some], compliance, scale, quasi_static=quasi_static)
@@ -161,7 +164,7 @@ class Simulator:
             self._advance_in_pieces(worlds, failed, cut, advance, report)
         bad = ~report.converged
         set_entries(state.closing_force, worlds[bad], start_force[bad])
-        set_entries(state.bodies.base, (worlds[bad], contact.PLATFORM), start_height[bad])
+        set_entries(state.bodies.base, (worlds[bad], faces.PLATFORM), start_height[bad])
         return report
 
     def _advance_in_pieces(self, worlds: np.ndarray, failed: np.ndarray, cut: int, advance, report: StepReport) -> None:
@@ -200,11 +203,11 @@ class Simulator:
 
     def opening_velocities(self, worlds: np.ndarray) -> np.ndarray:
         """Rate of the opening that the finger law gives for the present forces [m/s], shape ``(n,)``."""
-        pads = self.normal_forces(worlds)[:, : contact.PLATFORM].sum(axis=1)
+        pads = self.normal_forces(worlds)[:, : faces.PLATFORM].sum(axis=1)
         return (pads - self._state.closing_force.numpy()[worlds]) / self._state.finger_damping.numpy()[worlds]
 
     def pad_gaps(self, worlds: np.ndarray) -> np.ndarray:
-        """Distance of each pad face from the surface in front of it [m], shape ``(n, 2)``; inf where there is none."""
+        """How far each pad can close before it touches the surface [m], shape ``(n, 2)``; inf where it never does."""
         rows = wp.array(worlds, dtype=int, device=self._device)
         return self._contacts.pad_gaps(rows, reach=2.0 * self.gripper.max_opening)
 
@@ -232,7 +235,10 @@ class Simulator:
         return total
 
     def normal_forces(self, worlds: np.ndarray) -> np.ndarray:
-        """Sum of the normal forces of left pad, right pad and platform [N], shape ``(n, 3)``."""
+        """Force of left pad, right pad, platform and palm along their faces' normals [N], shape ``(n, 4)``.
+
+        The sum of both pads is what balances the closing force.
+        """
         return self._contacts.normal_forces(worlds)
 
     def contact_forces(self, worlds: np.ndarray) -> list[ContactForces]:
@@ -240,11 +246,11 @@ class Simulator:
         lists = self._contacts.lists
         count, body = lists.count.numpy(), lists.body.numpy()
         nodes, weights, force = lists.nodes.numpy(), lists.weights.numpy(), lists.force.numpy()
-        frames = self._state.bodies.frame.numpy()
+        frames = lists.frame.numpy()
         result = []
         for w, positions in zip(worlds, self.positions(worlds), strict=True):
             loaded = np.flatnonzero(force[w, : count[w], 0] > TOLERANCE * self._force_scale[w])
-            frame = frames[w][body[w, loaded]]
+            frame = frames[w, loaded]
             result.append(
                 ContactForces(
                     body=body[w, loaded],

@@ -6,11 +6,11 @@ import numpy as np
 import warp as wp
 
 from defgrasp_ros.object_model import STANDARD_GRAVITY
-from defgrasp_ros.simulation.kernels_contact import BODY_COUNT, PLATFORM, Bodies
+from defgrasp_ros.simulation.kernels_faces import BODY_COUNT, PLATFORM, Bodies
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
 UPWARD_FRAME = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""Contact frame of the platform: rows normal, tangent, tangent."""
+"""Frame of the platform: rows normal, and two directions along it."""
 
 
 class WorldState:
@@ -46,6 +46,7 @@ class WorldState:
         self.bodies.base = zeros((world_count, BODY_COUNT), wp.float64)
         self.bodies.origin = zeros(world_count, vec3d)
         self.bodies.opening = zeros(world_count, wp.float64)
+        self.bodies.start_opening = self.start_opening
         self.bodies.frame.assign(np.tile(UPWARD_FRAME, (world_count, BODY_COUNT, 1, 1)))
 
     @property
