@@ -24,24 +24,26 @@ class Fit(Enum):
 
 
 def finger_boxes(gripper: Gripper, opening: float) -> tuple[Box, Box]:
-    """Return the boxes of the left and the right finger behind their pad faces.
+    """Return the boxes of the left and the right finger behind their pad faces; fillets are not cut off.
 
     Args:
         gripper: Its pads.
         opening: Distance of each pad face from the grasp frame's origin [m].
     """
     outer = opening + gripper.finger_thickness
-    half, bottom, tip = gripper.pad_half_width, gripper.pad_bottom, gripper.tip
+    half, bottom, tip = gripper.finger_half_width, gripper.pad_bottom, gripper.tip
     left = np.array([-half, opening, bottom]), np.array([half, outer, tip])
     right = np.array([-half, -outer, bottom]), np.array([half, -opening, tip])
     return left, right
 
 
-def palm_box(gripper: Gripper) -> Box:
-    """Return the box of the palm, from the hand's base to its distal end."""
-    half_width, half_length = gripper.palm_half_width, gripper.palm_half_length
-    low = np.array([-half_width, -half_length, -gripper.hand_to_tcp])
-    return low, np.array([half_width, half_length, gripper.palm_top])
+def palm_box(gripper: Gripper) -> Box | None:
+    """Return the box of the palm, from the hand's base to its face; None for a gripper without."""
+    palm = gripper.palm
+    if palm is None:
+        return None
+    low = np.array([-palm.half_width, -palm.half_length, -gripper.hand_to_tcp])
+    return low, np.array([palm.half_width, palm.half_length, palm.face])
 
 
 def closing_region(gripper: Gripper) -> Box:
@@ -82,14 +84,16 @@ class HandFit:
         centres = rotation.T @ self._centres - (rotation.T @ position)[:, None]
         if any(self._touches(box, centres, position, rotation) for box in self._fingers):
             return Fit.FINGER_COLLISION
-        if self._touches(self._palm, centres, position, rotation):
+        if self._palm and self._touches(self._palm, centres, position, rotation):
             return Fit.PALM_COLLISION
         if not self._touches(self._closing_region, centres, position, rotation):
             return Fit.EMPTY
         # A box that no triangle meets is outside of the object, or swallowed whole.
         if any(self._swallows(box, position, rotation) for box in self._fingers):
             return Fit.FINGER_COLLISION
-        return Fit.PALM_COLLISION if self._swallows(self._palm, position, rotation) else Fit.FREE
+        if self._palm and self._swallows(self._palm, position, rotation):
+            return Fit.PALM_COLLISION
+        return Fit.FREE
 
     def _swallows(self, box: Box, position: np.ndarray, rotation: np.ndarray) -> bool:
         corners = position + np.stack(box) @ rotation.T
