@@ -13,6 +13,8 @@ from defgrasp_ros.configuration import config_file
 from defgrasp_ros.errors import InvalidOptionsError, NotFoundError
 
 DEFAULT_GRIPPER = "franka_hand"
+ROUNDING = 1e-12
+"""What sums of lengths may differ by [m]."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ class Gripper:
         check(error, "gripper.finger_thickness", self.finger_thickness, 0.0, 1.0, low_open=True, unit="m")
         check(error, "gripper.side_fillet", self.side_fillet, 0.0, self.finger_thickness, unit="m")
         check(error, "gripper.tip_fillet", self.tip_fillet, 0.0, self.finger_thickness - self.side_fillet, unit="m")
-        check(error, "gripper.tip", self.tip, self.pad_top + self.tip_fillet, 1.0, unit="m")
+        check(error, "gripper.tip", self.tip, self.pad_top + self.tip_fillet - ROUNDING, 1.0, unit="m")
         check(error, "gripper.max_opening", self.max_opening, 0.0, 1.0, low_open=True, unit="m")
         check(error, "gripper.max_force", self.max_force, 0.0, 1e5, low_open=True, unit="N")
         check(error, "gripper.hand_to_tcp", self.hand_to_tcp, 0.0, 1.0, unit="m")
