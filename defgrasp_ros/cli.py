@@ -1,4 +1,4 @@
-"""The ``defgrasp`` command: evaluate grasps without ROS."""
+"""The ``defgrasp`` command: objects, grasps and their evaluation without ROS."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from defgrasp_ros import evaluation as ev
+from defgrasp_ros.commands.mesh import mesh
+from defgrasp_ros.commands.objects import objects
+from defgrasp_ros.commands.sample import sample
 from defgrasp_ros.errors import DefgraspError, InvalidGraspError
 from defgrasp_ros.gripper import DEFAULT_GRIPPER, load_gripper
 from defgrasp_ros.material import Material
@@ -25,6 +28,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # brackets in the help are units
 )
+app.command()(mesh)
+app.command()(objects)
+app.command()(sample)
 DEFAULTS = ev.EvaluationOptions()
 MATERIAL = Material()
 

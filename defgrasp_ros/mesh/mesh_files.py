@@ -137,8 +137,7 @@ def parse_mesh(data: bytes, format: str) -> tuple[np.ndarray, np.ndarray]:
         raise InvalidMeshError(f"holds no triangles that can be read as {format}")
     if len(cells) == 0:
         raise InvalidMeshError(
-            "holds neither linear tetrahedra (tetra) nor triangles (triangle), but "
-            f"{', '.join(kinds) or 'no elements'}"
+            f"holds neither linear tetrahedra (tetra) nor triangles (triangle), but {', '.join(kinds) or 'no elements'}"
         )
     return vertices, cells
 

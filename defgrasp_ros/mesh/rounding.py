@@ -14,11 +14,14 @@ from defgrasp_ros.mesh.triangle_size import REGULAR_TRIANGLE, split_long_edges
 SHARP_ANGLE = np.radians(30.0)
 """Edges at which the surface turns by more than this are sharp [rad]."""
 
-EDGES_PER_RADIUS = 1.5
+EDGES_PER_RADIUS = 1.0
 """Triangle edges within the radius."""
 
 REACH = 1.5
 """How far from a sharp edge the surface is changed, in radii."""
+
+GRADING = 0.5
+"""How fast triangle edges may grow with the distance from there."""
 
 MAX_TRIANGLES = 200_000
 MAX_SMOOTHINGS = 500
@@ -73,3 +76,12 @@ def with_rounded_edges(surface: trimesh.Trimesh, radius: float) -> trimesh.Trime
         if np.median(np.linalg.norm(positions[rim] - start[rim], axis=1)) >= wanted:
             break
     return trimesh.Trimesh(positions, fine.faces, process=False)
+
+
+def _points_along(ends: np.ndarray, spacing: float) -> np.ndarray:
+    """Return points on line segments ``(segment, 2, 3)``, no farther apart than the spacing [m]."""
+    counts = np.ceil(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / spacing).astype(int) + 1
+    segment = np.repeat(np.arange(len(ends)), counts)
+    first = np.cumsum(counts) - counts
+    share = (np.arange(len(segment)) - first[segment]) / np.maximum(counts[segment] - 1, 1)
+    return ends[segment, 0] + share[:, None] * (ends[segment, 1] - ends[segment, 0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,11 +42,15 @@ def with_triangle_size(surface: trimesh.Trimesh, edge_length: float, per_face: f
 
 
 def split_long_edges(
-    vertices: np.ndarray, triangles: np.ndarray, max_length: float, max_triangles: int
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    max_length: float | Callable[[np.ndarray], np.ndarray],
+    max_triangles: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Halve edges until none is too long or there are enough triangles; the surface keeps its shape.
 
-    An edge is split where it is the longest one of both of its triangles, so that they stay joined and well shaped.
+    The length can depend on the place: a function of the edges' middles [m], shape ``(edge, 3)``. An edge is split
+    where it is the longest one of both of its triangles, so that they stay joined and well shaped.
     """
     while len(triangles) < max_triangles:
         pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
@@ -57,7 +62,8 @@ def split_long_edges(
         longest_side = rank[edge_of_side].argmax(axis=1)
         longest = np.take_along_axis(edge_of_side, longest_side[:, None], axis=1)[:, 0]
         is_longest_of_all = np.bincount(longest, minlength=len(edges)) == np.bincount(edge_of_side.ravel())
-        to_split = is_longest_of_all & (lengths > max_length)
+        limit = max_length(vertices[edges].mean(axis=1)) if callable(max_length) else max_length
+        to_split = is_longest_of_all & (lengths > limit)
         if not to_split.any():
             break
         middle = np.cumsum(to_split) - 1 + len(vertices)

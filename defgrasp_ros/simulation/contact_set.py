@@ -283,7 +283,9 @@ class ContactSet:
         count, body = self.lists.count.numpy()[worlds], self.lists.body.numpy()[worlds]
         force = np.einsum("ncj,ncj->nc", self.lists.axis.numpy()[worlds], self.lists.force.numpy()[worlds])
         listed = np.arange(self.capacity) < count[:, None]
-        return np.stack([np.where(listed & (body == b), force, 0.0).sum(axis=1) for b in range(faces.BODY_COUNT)], axis=1)
+        return np.stack(
+            [np.where(listed & (body == b), force, 0.0).sum(axis=1) for b in range(faces.BODY_COUNT)], axis=1
+        )
 
     def _scatter(self, rows: wp.array, nodal_force: wp.array) -> None:
         inputs = [self.lists, rows, self._force, nodal_force]

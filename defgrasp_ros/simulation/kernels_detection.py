@@ -37,7 +37,7 @@ from defgrasp_ros.simulation.kernels_faces import (
     outline_low,
     to_face,
 )
-from defgrasp_ros.simulation.types import mat33d, vec2d, vec3d
+from defgrasp_ros.simulation.types import vec2d, vec3d
 
 wp.set_module_options({"enable_backward": False})
 
@@ -321,9 +321,7 @@ def gap_slope(faces: Faces, body: int, a: vec3d, b: vec3d, f: wp.float64) -> wp.
 
 
 @wp.func
-def smallest_gap(
-    faces: Faces, body: int, a: vec3d, b: vec3d, start: wp.float64, end: wp.float64
-) -> wp.float64:
+def smallest_gap(faces: Faces, body: int, a: vec3d, b: vec3d, start: wp.float64, end: wp.float64) -> wp.float64:
     """Return the fraction of the segment a-b, from start to end, where the gap is smallest."""
     low = start
     high = end
@@ -365,9 +363,7 @@ def edge_point(faces: Faces, body: int, a: vec3d, b: vec3d, which: int) -> wp.fl
 
 
 @wp.func
-def lowest_beyond(
-    end: wp.float64, outward: wp.float64, radius: wp.float64, slope: wp.float64
-) -> wp.float64:
+def lowest_beyond(end: wp.float64, outward: wp.float64, radius: wp.float64, slope: wp.float64) -> wp.float64:
     """Return the coordinate at or beyond an end of the flat part at which slope * p + h(p) is smallest [m]."""
     m = outward * slope
     d = wp.float64(0.0)
