@@ -51,7 +51,6 @@ from defgrasp_ros.ros.request_conversion import (  # noqa: E402
     object_to_message,
     options_from_message,
     options_to_message,
-    path_of_uri,
 )
 from defgrasp_ros.ros.result_conversion import evaluation_from_message, evaluation_to_message  # noqa: E402
 from defgrasp_ros.ros.state_conversion import sample_to_contact_state, sample_to_joint_state  # noqa: E402
@@ -205,19 +204,6 @@ def test_impossible_scale_is_refused(scale: float) -> None:
     message.scale = scale
     with pytest.raises(InvalidMeshError, match=r"object\.scale"):
         object_from_message(message, LIMIT)
-
-
-@pytest.mark.parametrize("uri", ["file:///a%20b.stl", "file://localhost/a b.stl"])
-def test_file_uri_is_decoded(uri: str) -> None:
-    """Percent signs are decoded, and the own machine may be named."""
-    assert path_of_uri(uri) == Path("/a b.stl")
-
-
-@pytest.mark.parametrize("uri", ["a.stl", "/a.stl", "file://a.stl", "package://robot/a.stl", "http://host/a.stl"])
-def test_other_uri_is_refused(uri: str) -> None:
-    """Relative paths and other schemes are refused; the text says what to write."""
-    with pytest.raises(InvalidMeshError, match="file://"):
-        path_of_uri(uri)
 
 
 def test_missing_file_is_not_found(tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ MAX_FILE_SIZE = 500 * 2**20
 PARSE_TIME_LIMIT = 60.0
 """Time after which reading a file is given up [s]."""
 
-PARSE_MEMORY_LIMIT = 3 * 2**30
+PARSE_MEMORY_LIMIT = 2 * 2**30
 """Address space of the process that reads other formats [B]."""
 
 PARSE_WORKER = Path(__file__).with_name("parse_worker.py")

@@ -91,7 +91,7 @@ class MeshReport:
             + " mm, principal inertia "
             + " ".join(f"{1e6 * value:.3g}" for value in principal)
             + " kg mm^2",
-            f"  elements  dihedral angles at least {np.degrees(self.min_dihedral_angle):.1f} deg, median of the smallest"
+            f"  elements  dihedral angles from {np.degrees(self.min_dihedral_angle):.1f} deg, median of the smallest"
             f" {np.degrees(self.median_dihedral_angle):.0f} deg, aspect ratio up to {self.max_aspect_ratio:.1f}",
         ]
         lines += [f"  mended    {text}" for text in self.mends]

@@ -19,6 +19,12 @@ MIN_TRIANGLES = 100
 LONGEST_TRIANGLE_EDGE = 4.0 / 3.0
 """In edge lengths of the elements; the length at which fTetWild splits edges too."""
 
+AGGRESSIONS = (7, 4, 2, 1)
+"""How fast the allowed error grows during a decimation: the library's default, and gentler ones."""
+
+MAX_DENT = 0.02
+"""Largest relative change of volume in a decimation."""
+
 REGULAR_TRIANGLE = 3.0**0.5 / 4.0
 """Area of the regular triangle of edge length 1."""
 
@@ -36,9 +42,19 @@ def with_triangle_size(surface: trimesh.Trimesh, edge_length: float, per_face: f
     faces = surface.area / (REGULAR_TRIANGLE * edge_length**2)
     count = max(MIN_TRIANGLES, int(per_face * faces))
     if len(surface.faces) > count:
-        return surface.simplify_quadric_decimation(face_count=count)
+        return _decimated(surface, count)
     split = split_long_edges(surface.vertices, surface.faces, LONGEST_TRIANGLE_EDGE * edge_length, count)
     return trimesh.Trimesh(*split, process=False)
+
+
+def _decimated(surface: trimesh.Trimesh, count: int) -> trimesh.Trimesh:
+    """Return the surface with so many triangles; as it is where decimation would tear it open or dent it."""
+    volume, closed = float(surface.volume), surface.is_watertight
+    for aggression in AGGRESSIONS:
+        coarse = surface.simplify_quadric_decimation(face_count=count, aggression=aggression)
+        if not closed or (coarse.is_watertight and abs(coarse.volume - volume) < MAX_DENT * abs(volume)):
+            return coarse
+    return surface
 
 
 def split_long_edges(

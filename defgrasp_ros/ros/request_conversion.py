@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import array
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
-from urllib.parse import unquote
 
 import numpy as np
 from defgrasp_interfaces import msg
@@ -17,6 +17,7 @@ from defgrasp_ros.evaluation import EvaluationOptions
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.mesh_files import read_mesh, read_mesh_bytes
+from defgrasp_ros.mesh.mesh_uri import path_of_uri
 from defgrasp_ros.mesh.object_mesh import mesh_from_surface, mesh_from_tetrahedra
 from defgrasp_ros.mesh.tet_mesh import TetMesh
 from defgrasp_ros.object_model import ObjectModel
@@ -25,8 +26,6 @@ from defgrasp_ros.ros.object_source import MeshData, MeshFile, ObjectSource, Sur
 
 OBJECT_FRAME = "object"
 """Name of the object frame in message headers."""
-
-FILE_SCHEME = "file://"
 
 
 # Material
@@ -135,12 +134,15 @@ def object_to_message(source: ObjectSource, material: Material, name: str = "") 
     return message
 
 
-def object_from_message(message: msg.ObjectModel, max_tetrahedra: int) -> ObjectModel:
+def object_from_message(
+    message: msg.ObjectModel, max_tetrahedra: int, mesh_directories: Sequence[Path] = ()
+) -> ObjectModel:
     """Return the object of a message; a surface is filled with tetrahedra.
 
     Args:
         message: The object's message.
         max_tetrahedra: Largest number of tetrahedra that is accepted [-].
+        mesh_directories: Folders from which files may be read; empty: all.
 
     Raises:
         InvalidMaterialError: If a material value is outside its physical range.
@@ -149,7 +151,7 @@ def object_from_message(message: msg.ObjectModel, max_tetrahedra: int) -> Object
         NotFoundError: If the mesh file does not exist.
     """
     material = material_from_message(message.material)
-    mesh = _mesh_from_message(message)
+    mesh = _mesh_from_message(message, mesh_directories)
     if len(mesh.tetrahedra) > max_tetrahedra:
         raise MeshTooLargeError(
             f"the object has {len(mesh.tetrahedra)} tetrahedra, more than max_tetrahedra = {max_tetrahedra}; "
@@ -158,7 +160,7 @@ def object_from_message(message: msg.ObjectModel, max_tetrahedra: int) -> Object
     return ObjectModel(message.name, mesh, material)
 
 
-def _mesh_from_message(message: msg.ObjectModel) -> TetMesh:
+def _mesh_from_message(message: msg.ObjectModel, mesh_directories: Sequence[Path]) -> TetMesh:
     shapes = {
         "uri": message.uri,
         "data": message.data,
@@ -174,15 +176,22 @@ def _mesh_from_message(message: msg.ObjectModel) -> TetMesh:
     scale = require_in_range(InvalidMeshError, "object.scale", message.scale, 0.0) or 1.0
     size = require_in_range(InvalidMeshError, "object.target_edge_length", message.target_edge_length, 0.0, unit="m")
     try:
-        return _read_shape(given[0], message, scale, target_edge_length=size or None)
+        return _read_shape(given[0], message, scale, size or None, mesh_directories)
     except InvalidMeshError as error:
         raise type(error)(f"object.{given[0]}: {error}") from error
 
 
-def _read_shape(way: str, message: msg.ObjectModel, scale: float, target_edge_length: float | None) -> TetMesh:
+def _read_shape(
+    way: str,
+    message: msg.ObjectModel,
+    scale: float,
+    target_edge_length: float | None,
+    mesh_directories: Sequence[Path],
+) -> TetMesh:
     match way:
         case "uri":
-            return read_mesh(path_of_uri(message.uri), scale=scale, target_edge_length=target_edge_length)
+            path = path_of_uri(message.uri, mesh_directories)
+            return read_mesh(path, scale=scale, target_edge_length=target_edge_length)
         case "data":
             data = bytes(message.data)
             return read_mesh_bytes(data, message.format, scale=scale, target_edge_length=target_edge_length)
@@ -201,18 +210,3 @@ def _rows_of(name: str, values: array.array, width: int) -> np.ndarray:
     if len(values) % width:
         raise InvalidMeshError(f"{name} has {len(values)} numbers, which is no multiple of {width}")
     return rows(values, width)
-
-
-def path_of_uri(uri: str) -> Path:
-    """Return the absolute path of a ``file://`` URI, percent signs decoded.
-
-    Raises:
-        InvalidMeshError: If the URI has another scheme, names another machine, or its path is not absolute.
-    """
-    path = unquote(uri.removeprefix(FILE_SCHEME).removeprefix("localhost"))
-    if not uri.startswith(FILE_SCHEME) or not path.startswith("/"):
-        raise InvalidMeshError(
-            f"'{uri}' cannot be read; give file:// and an absolute path on the evaluator's machine, "
-            "e.g. file:///home/me/banana.stl, or send the content in object.data"
-        )
-    return Path(path)
