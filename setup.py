@@ -78,7 +78,7 @@ setup(
         *share_files("config"),
         *share_files("launch"),
     ],
-    python_requires=">=3.10",
+    python_requires=">=3.11",
     install_requires=[
         "fast-simplification",  # behind trimesh's simplify_quadric_decimation
         "h5py",
@@ -92,6 +92,7 @@ setup(
         "pyyaml",
         "rich",
         "scipy",
+        "threadpoolctl",
         "trimesh>=5",
         "typer",
         "warp-lang>=1.19",

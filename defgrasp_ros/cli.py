@@ -53,6 +53,9 @@ def evaluate(
     edge_length: Annotated[
         float | None, typer.Option(help="Target edge of the tetrahedra of a surface mesh [m]")
     ] = None,
+    element_order: Annotated[
+        int, typer.Option(help="1: tetrahedra of four nodes; 2: of ten, which do not lock in bending")
+    ] = 1,
     gripper: Annotated[str, typer.Option(help="Gripper description in config/grippers")] = DEFAULT_GRIPPER,
     safety_factor: Annotated[
         float, typer.Option(help="Target force = factor x m g / mu [-]")
@@ -81,7 +84,8 @@ def evaluate(
     )
     hand = load_gripper(gripper)
     indices, chosen = _chosen(read_grasps(grasps), grasp_indices)
-    model = ObjectModel(object_file.stem, read_mesh(object_file, scale=scale, target_edge_length=edge_length), material)
+    mesh = read_mesh(object_file, scale=scale, target_edge_length=edge_length, element_order=element_order)
+    model = ObjectModel(object_file.stem, mesh, material)
     console.print(
         f"{model.name}: {len(model.mesh.vertices)} nodes, {len(model.mesh.tetrahedra)} tetrahedra, "
         f"{1e3 * model.mass:.1f} g"

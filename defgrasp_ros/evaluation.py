@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 
 import numpy as np
 
@@ -21,27 +21,62 @@ FINGER_NAMES = ("left_finger", "right_finger")
 NAN = math.nan
 
 
+class Experiment(StrEnum):
+    """What can be done with a grasp. The pickup always comes first; the others need an object that was picked up,
+    but for the squeeze."""
+
+    PICKUP = "pickup"
+    REORIENTATION = "reorientation"
+    LINEAR_ACCELERATION = "linear_acceleration"
+    ANGULAR_ACCELERATION = "angular_acceleration"
+    SQUEEZE = "squeeze"
+
+
 @dataclass(frozen=True)
 class EvaluationOptions:
     """Constants of the protocol; the defaults are the paper's.
 
     Args:
+        experiments: What is done; the pickup is part of every evaluation, named or not.
         force_safety_factor: Target force is this factor x m g / mu [-].
         pickup_hold_time: How long both fingers must keep contact after the platform has gone [s].
         platform_speed: Speed with which the platform sinks [m/s].
         squeeze_time: Duration of the force ramp from 0 to the target [s].
         time_step: Time step [s]; a step that does not converge is repeated in smaller ones.
+        slip_force_limit: The reorientation's force is at most this factor x the target force [-].
+        reorientation_speed: With which the hand is turned [rad/s].
+        reorientation_settles: Whether each state comes to rest before it is recorded; else it is a snapshot in motion.
+        linear_jerk: Rate at which the linear acceleration grows [m/s^3].
+        max_linear_acceleration: At which the linear test ends [m/s^2].
+        angular_jerk: Rate at which the angular acceleration grows [rad/s^3].
+        max_angular_acceleration: At which the angular test ends [rad/s^2].
+        acceleration_time_step: Time step of the acceleration tests [s].
+        squeeze_force: Largest force of the squeeze [N], sum of both pads.
+        squeeze_force_near_rigid: The same for a Young's modulus above 1e8 Pa [N].
+        squeeze_sample_count: Number of forces at which the squeeze is recorded [-].
         return_fields: Whether nodal positions and element stresses are kept in the results.
 
     Raises:
         InvalidOptionsError: If a value is outside its range.
     """
 
+    experiments: frozenset[Experiment] = frozenset({Experiment.PICKUP})
     force_safety_factor: float = 1.3
     pickup_hold_time: float = 5.0
     platform_speed: float = 0.08
     squeeze_time: float = 0.2
     time_step: float = 1.0 / 200.0
+    slip_force_limit: float = 10.0
+    reorientation_speed: float = 3.0
+    reorientation_settles: bool = True
+    linear_jerk: float = 1000.0
+    max_linear_acceleration: float = 50.0
+    angular_jerk: float = 2500.0
+    max_angular_acceleration: float = 1000.0
+    acceleration_time_step: float = 1.0 / 1000.0
+    squeeze_force: float = 15.0
+    squeeze_force_near_rigid: float = 30.0
+    squeeze_sample_count: int = 50
     return_fields: bool = False
 
     def __post_init__(self) -> None:
@@ -52,6 +87,25 @@ class EvaluationOptions:
         check(error, "options.platform_speed", self.platform_speed, 1e-4, 1.0, unit="m/s")
         check(error, "options.squeeze_time", self.squeeze_time, 0.01, 60.0, unit="s")
         check(error, "options.time_step", self.time_step, 1e-5, 0.02, unit="s")
+        check(error, "options.slip_force_limit", self.slip_force_limit, 1.0, 1e3)
+        check(error, "options.reorientation_speed", self.reorientation_speed, 0.01, 30.0, unit="rad/s")
+        check(error, "options.linear_jerk", self.linear_jerk, 1.0, 1e5, unit="m/s^3")
+        check(error, "options.max_linear_acceleration", self.max_linear_acceleration, 0.1, 1e4, unit="m/s^2")
+        check(error, "options.angular_jerk", self.angular_jerk, 1.0, 1e6, unit="rad/s^3")
+        check(error, "options.max_angular_acceleration", self.max_angular_acceleration, 0.1, 1e5, unit="rad/s^2")
+        check(error, "options.acceleration_time_step", self.acceleration_time_step, 1e-5, 0.01, unit="s")
+        check(error, "options.squeeze_force", self.squeeze_force, 0.0, 1e4, low_open=True, unit="N")
+        check(error, "options.squeeze_force_near_rigid", self.squeeze_force_near_rigid, 0.0, 1e4, low_open=True)
+        check(error, "options.squeeze_sample_count", self.squeeze_sample_count, 1, 1000)
+        object.__setattr__(self, "experiments", self._known_experiments())
+
+    def _known_experiments(self) -> frozenset[Experiment]:
+        """Return the experiments as such, with the pickup among them."""
+        try:
+            return frozenset({Experiment.PICKUP, *(Experiment(name) for name in self.experiments)})
+        except ValueError as unknown:
+            known = ", ".join(Experiment)
+            raise InvalidOptionsError(f"options.experiments: {unknown}; known are {known}") from None
 
 
 class Phase(IntEnum):
@@ -64,6 +118,9 @@ class Phase(IntEnum):
     LOWER_PLATFORM = 4
     HOLD = 5
     DONE = 6
+    REORIENT = 7
+    ACCELERATE = 8
+    SQUEEZE_FREE = 9
 
 
 @dataclass
@@ -88,7 +145,7 @@ class GraspFeatures:
 
 @dataclass
 class GraspMetrics:
-    """The performance metrics of the pickup; numbers are ``nan`` where the object was not held."""
+    """The seven performance metrics; numbers are ``nan`` where the object was not held."""
 
     pickup_success: bool = False
     """Whether both fingers kept contact for the hold time after the platform had gone."""
@@ -98,6 +155,12 @@ class GraspMetrics:
     """Largest nodal displacement from the pre-contact shape, rigid motion removed [m]."""
     strain_energy: float = NAN
     """1/2 sum V sigma : epsilon at the end of the hold [J] (the paper writes it without the 1/2)."""
+    linear_instability: float = NAN
+    """Acceleration at which a finger loses contact, mean over 16 directions [m/s^2]; larger is more stable."""
+    angular_instability: float = NAN
+    """The same for the angular acceleration about 16 axes [rad/s^2]."""
+    deformation_controllability: float = NAN
+    """Largest ``max_deformation`` over the 64 states of the reorientation [m]."""
 
 
 @dataclass
@@ -165,9 +228,81 @@ class DeformedState:
     positions: np.ndarray
     """Nodes in the object frame [m], shape ``(node, 3)``."""
     von_mises_stress: np.ndarray
-    """Per element [Pa], shape ``(tet,)``."""
+    """Per element, the largest of its stress points [Pa], shape ``(tet,)``; one point at order 1, four at order 2."""
     opening: float = NAN
     """Distance of each pad face from the grasp frame's origin [m]; nan before the gripper is there."""
+
+
+@dataclass
+class AccelerationResult:
+    """How a grasp did in the linear or the angular acceleration test; one entry per direction, shape ``(16,)``."""
+
+    directions: np.ndarray
+    """Unit vectors in the object frame, shape ``(16, 3)``."""
+    at_loss: np.ndarray
+    """Acceleration at which a finger lost contact [m/s^2 or rad/s^2]; nan where the reason says why."""
+    at_slip: np.ndarray
+    """Acceleration at which all points of both fingers first slid [m/s^2 or rad/s^2]; nan where they did not."""
+    is_lower_bound: np.ndarray
+    """Whether contact was kept up to the end of the test, which then stands in ``at_loss``."""
+    reasons: list[str]
+    """Why there is no number; empty where there is one."""
+
+    @property
+    def instability(self) -> float:
+        """Mean over the directions [m/s^2 or rad/s^2]; nan where one of them has no number."""
+        return float(self.at_loss.mean())
+
+
+@dataclass
+class ReorientationResult:
+    """The states of the reorientation: 16 axes x turns of 45, 90, 135 and 180 degrees; shape ``(16, 4)`` each.
+
+    nan where the object was dropped before, or no solution was found; the reason of the axis says so.
+    """
+
+    directions: np.ndarray
+    """Axes of the turns, unit vectors in the object frame, shape ``(16, 3)``."""
+    closing_force: float
+    """SUM of the two pad normal forces with which the object was grasped [N]."""
+    max_deformation: np.ndarray
+    """Largest nodal displacement from the pre-contact shape, rigid motion removed [m]."""
+    max_deformation_from_lifted: np.ndarray
+    """The same from the shape in which it hung before the first turn [m]."""
+    max_von_mises_stress: np.ndarray
+    """[Pa]."""
+    strain_energy: np.ndarray
+    """[J]."""
+    reasons: list[str]
+    """Why an axis has states without numbers; empty where all were reached, shape ``(16,)``."""
+    states: dict[tuple[int, int], DeformedState] = field(default_factory=dict)
+    """Fields by axis and turn, where the options ask for fields."""
+
+    @property
+    def controllability(self) -> float:
+        """Largest deformation over all states [m]; nan where a state was not reached."""
+        return float(self.max_deformation.max())
+
+
+@dataclass
+class SqueezeResult:
+    """The squeeze without gravity, at evenly spaced forces; shape ``(sample,)`` each, nan from where it failed."""
+
+    force: np.ndarray
+    """SUM of the two pad normal forces [N]."""
+    opening: np.ndarray
+    """Distance of each pad face from the grasp frame's origin [m]."""
+    max_deformation: np.ndarray
+    """Largest nodal displacement from the shape before contact, rigid motion removed [m]."""
+    max_von_mises_stress: np.ndarray
+    """[Pa]."""
+    strain_energy: np.ndarray
+    """[J]."""
+    contacts: list[tuple[FingerContact, FingerContact]] = field(default_factory=list)
+    states: list[DeformedState] = field(default_factory=list)
+    """Where the options ask for fields."""
+    reason: str = ""
+    """Why it ended early; empty where it did not."""
 
 
 @dataclass
@@ -194,6 +329,11 @@ class GraspEvaluation:
     wall_time: float = 0.0
     """Time [s] until this grasp's evaluation ended; grasps of a batch share it."""
     solver: SolverReport = field(default_factory=SolverReport)
+    reorientation: ReorientationResult | None = None
+    """None where the experiment was not asked for, or not begun since the object was not picked up."""
+    linear_acceleration: AccelerationResult | None = None
+    angular_acceleration: AccelerationResult | None = None
+    squeeze: SqueezeResult | None = None
     fields: dict[str, DeformedState] = field(default_factory=dict)
     """By stage: ``pre_contact``, ``at_target_force``, ``post_pickup``; filled where the options ask for fields."""
 

@@ -121,6 +121,8 @@ def load_gripper(name: str = DEFAULT_GRIPPER) -> Gripper:
     values: dict[str, Any] = yaml.safe_load(path.read_text())
     try:
         palm = values.pop("palm", None)
+        if palm is not None and not isinstance(palm, dict):
+            raise InvalidOptionsError(f"gripper.palm = {palm!r} is not a group of face, half_width and half_length")
         return Gripper(name=name, palm=None if palm is None else Palm(**palm), **values)
     except TypeError as error:
         raise InvalidOptionsError(f"{path}: {error}") from error

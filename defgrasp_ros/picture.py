@@ -49,6 +49,8 @@ STRESS_PERCENTILE = 99.5
 FINGER_COLOR, FINGER_OUTLINE, FINGER_OPACITY = np.array([0.45, 0.55, 0.68]), np.array([0.15, 0.2, 0.3]), 0.42
 IDLE_COLOR, IDLE_FINGER_OPACITY = np.array([0.82, 0.82, 0.82]), 0.25
 PLATFORM_COLOR, PLATFORM_THICKNESS, PLATFORM_MARGIN = np.array([0.9, 0.91, 0.93]), 0.003, 0.012
+FILLET_POINTS = 6
+"""Points across a rounded edge."""
 AXIS_COLORS = ("#d62728", "#2ca02c", "#1f77b4")
 AXIS_LENGTH, FORCE_LENGTH = 0.25, 0.35
 """Of the axes and of the largest force, in half heights of the picture."""
@@ -170,22 +172,15 @@ class _Scene:
         """Von Mises stress [Pa], mean of the adjacent elements weighted by volume, shape ``(node,)``."""
         if self.stage is None:
             return None
-        mesh = self.object_model.mesh
-        weighted = np.repeat(mesh.volumes * self.evaluation.fields[self.stage].von_mises_stress / 4.0, 4)
-        return np.bincount(mesh.tetrahedra.ravel(), weighted, minlength=len(mesh.vertices)) / mesh.node_volumes
+        return self.object_model.mesh.nodal_mean(self.evaluation.fields[self.stage].von_mises_stress)
 
     @property
     def fingers(self) -> list[np.ndarray]:
-        """Corners of the two finger boxes in the object frame [m], each of shape ``(8, 3)``."""
+        """Vertices of the two fingers in the object frame [m], each of shape ``(vertex, 3)``."""
         opening = self.evaluation.fields[self.stage].opening if self.stage else self.gripper.max_opening
-        boxes = []
-        for side in (1.0, -1.0):
-            inner, outer = side * opening, side * (opening + self.gripper.finger_thickness)
-            low = np.array([-self.gripper.pad_half_width, min(inner, outer), self.gripper.pad_bottom])
-            high = np.array([self.gripper.pad_half_width, max(inner, outer), self.gripper.tip])
-            corners = low + BOX_CORNERS * (high - low)
-            boxes.append(self.grasp.position + corners @ self.grasp.rotation.T)
-        return boxes
+        shape, _ = _finger_surface(self.gripper)
+        placed = [(shape + [0.0, opening, 0.0]) * [1.0, side, 1.0] for side in (1.0, -1.0)]
+        return [self.grasp.position + vertices @ self.grasp.rotation.T for vertices in placed]
 
     @property
     def platform(self) -> np.ndarray | None:
@@ -209,13 +204,42 @@ class _Scene:
         surface = self.object_model.mesh.surface_triangles
         colors = stress.to_rgba(self.nodal_stress)[:, :3] if held else IDLE_COLOR
         layers = [solid(camera, self.positions, surface, colors)]
-        for corners in self.fingers:
+        _, left = _finger_surface(self.gripper)
+        for vertices, triangles in zip(self.fingers, (left, left[:, ::-1]), strict=True):
             opacity = FINGER_OPACITY if held else IDLE_FINGER_OPACITY
-            finger = solid(camera, corners, BOX_TRIANGLES, FINGER_COLOR if held else IDLE_COLOR, opacity)
+            finger = solid(camera, vertices, triangles, FINGER_COLOR if held else IDLE_COLOR, opacity)
             layers.append(with_outline(finger, FINGER_OUTLINE, SUPERSAMPLING))
         if self.platform is not None:
             layers.append(solid(camera, self.platform, BOX_TRIANGLES, PLATFORM_COLOR))
         return layers
+
+
+def _finger_surface(gripper: Gripper) -> tuple[np.ndarray, np.ndarray]:
+    """Return the left finger with its pad face in the plane y = 0 and rounded edges.
+
+    Returns:
+        Vertices in the grasp frame [m], shape ``(vertex, 3)``, and triangles, counter-clockwise from outside.
+    """
+    arc = np.sin(np.linspace(0.0, np.pi / 2.0, FILLET_POINTS))
+    side = gripper.pad_half_width + gripper.side_fillet * arc
+    tip = gripper.pad_top + gripper.tip_fillet * arc
+    across = _distinct(-side, side)
+    along = _distinct([gripper.pad_bottom, gripper.tip], tip)
+    x, z = np.meshgrid(across, along, indexing="ij")
+    layers = [gripper.pad_drop(x, z), np.full_like(x, gripper.finger_thickness)]
+    vertices = np.concatenate([np.column_stack([x.ravel(), y.ravel(), z.ravel()]) for y in layers])
+    number = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    face = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
+    following, back = np.roll(rim, -1), x.size
+    wall = [[rim, rim + back, following + back], [rim, following + back, following]]
+    return vertices, np.concatenate([face, face[:, ::-1] + back, *(np.column_stack(half) for half in wall)])
+
+
+def _distinct(*coordinates: Sequence[float]) -> np.ndarray:
+    """Return coordinates in ascending order, those once that differ by rounding only [m]."""
+    return np.unique(np.round(np.concatenate(coordinates), 12))
 
 
 def _stress_scale(scenes: Sequence[_Scene]) -> ScalarMappable | None:

@@ -51,6 +51,7 @@ def object_document(model: ObjectModel) -> dict[str, Any]:
         "name": model.name,
         "vertices": len(model.mesh.vertices),
         "tetrahedra": len(model.mesh.tetrahedra),
+        "element_order": model.mesh.element_order,
         "volume": model.mesh.volume,
         "mass": model.mass,
         "extents": model.mesh.extents.tolist(),

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import yaml
 
 from defgrasp_ros import gripper as gripper_module
 from defgrasp_ros.errors import InvalidGraspError, InvalidMaterialError, InvalidOptionsError, NotFoundError
@@ -86,11 +87,15 @@ def test_faulty_grasp_is_refused(fields, words):
 
 
 def test_default_gripper_is_the_franka_hand():
-    """Its pads are 17 x 49 mm, open by 2 x 44.4 mm, and lie around the tool centre point of panda_hand_tcp."""
+    """Its pads are 21 x 54 mm, flat within 17 x 49, open by 2 x 44.4 mm, and lie around panda_hand_tcp."""
     franka = load_gripper()
     assert franka.name == "franka_hand"
     assert 2.0 * franka.pad_half_width == pytest.approx(0.017)
     assert franka.pad_top - franka.pad_bottom == pytest.approx(0.049)
+    assert 2.0 * franka.finger_half_width == pytest.approx(0.021)
+    assert franka.tip - franka.pad_bottom == pytest.approx(0.054)
+    assert (franka.side_fillet, franka.tip_fillet) == (0.002, 0.005)
+    assert franka.palm.face + franka.hand_to_tcp == pytest.approx(0.066)
     assert franka.pad_bottom < 0.0 < franka.pad_top < franka.tip
     assert franka.max_opening == pytest.approx(0.044442)
     assert franka.hand_to_tcp == pytest.approx(0.1034)
@@ -108,6 +113,11 @@ def test_unknown_gripper():
         ("max_opening: -0.04", ["gripper.max_opening = -0.04 m"]),
         ("pad_top: -0.05", ["gripper.pad_top"]),
         ("tip: 0.0", ["gripper.tip"]),
+        ("side_fillet: -0.001", ["gripper.side_fillet = -0.001 m"]),
+        ("tip_fillet: 0.006", ["gripper.tip = 0.009 m"]),
+        ("palm: {face: 0.05, half_width: 0.03, half_length: 0.1}", ["gripper.palm.face = 0.05 m"]),
+        ("palm: {face: -0.03}", ["half_width"]),
+        ("palm: wide", ["palm"]),
         ("max_force: .nan", ["gripper.max_force = nan N"]),
         ("colour: 3", ["colour"]),
     ],
@@ -115,11 +125,22 @@ def test_unknown_gripper():
 def test_faulty_gripper_file_is_refused(tmp_path, monkeypatch, line, error_words):
     """A value out of range and an unknown key are named."""
     text = gripper_module.config_file("grippers/franka_hand.yaml").read_text()
-    kept = [original for original in text.splitlines() if not original.startswith(line.split(":")[0] + ":")]
+    values = yaml.safe_load(text) | yaml.safe_load(line)
     path = tmp_path / "claw.yaml"
-    path.write_text("\n".join([*kept, line]))
+    path.write_text(yaml.safe_dump(values))
     monkeypatch.setattr(gripper_module, "config_file", lambda relative: path)
     with pytest.raises(InvalidOptionsError) as caught:
         load_gripper("claw")
     for word in error_words:
         assert word in str(caught.value)
+
+
+def test_pad_drop_is_a_circular_arc():
+    """Flat in the middle, a fillet's radius behind at the ends, and both where they meet."""
+    franka = load_gripper()
+    side, tip = franka.side_fillet, franka.tip_fillet
+    x, z = franka.pad_half_width, franka.pad_top
+    across = np.array([0.0, x, x + side, -x - 0.6 * side, 0.0, x + side])
+    along = np.array([-0.045, z, 0.0, 0.0, z + tip, z + tip])
+    drop = franka.pad_drop(across, along)
+    np.testing.assert_allclose(drop, [0.0, 0.0, side, 0.2 * side, tip, side + tip], atol=1e-12)

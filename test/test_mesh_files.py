@@ -212,9 +212,21 @@ def test_limits(block, monkeypatch):
     monkeypatch.setattr(object_mesh, "MAX_TETRAHEDRA", 39)
     with pytest.raises(MeshTooLargeError, match="40 tetrahedra, more than 39"):
         mesh_from_tetrahedra(mesh.vertices, mesh.tetrahedra)
+    monkeypatch.setattr(object_mesh, "MAX_NODES", 100)
+    with pytest.raises(MeshTooLargeError, match="117 nodes at element_order = 2, more than 100"):
+        mesh_from_tetrahedra(mesh.vertices, mesh.tetrahedra[:39], element_order=2)
     monkeypatch.setattr(surface, "MAX_TRIANGLES", 11)
     with pytest.raises(MeshTooLargeError, match="12 triangles, more than 11"):
         mesh_from_surface(block.vertices, block.faces)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_default_size_counts_nodes(block, order):
+    """Without an edge length a surface gets about 1 000 nodes at either order, and one body of the same volume."""
+    mesh = mesh_from_surface(block.vertices, block.faces, element_order=order)
+    assert mesh.element_order == order
+    assert 500 < len(mesh.vertices) < 1500
+    assert mesh.volume == pytest.approx(np.prod(EXTENTS), rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from defgrasp_ros.gripper import load_gripper
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.shapes import box
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.picture import _Scene, draw_evaluation, draw_evaluations
+from defgrasp_ros.picture import _finger_surface, _Scene, draw_evaluation, draw_evaluations
 from defgrasp_ros.rendering import Camera, compose, solid
 
 RED, BLUE = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
@@ -102,9 +102,21 @@ def test_fingers_stand_where_the_gripper_says(model):
     assert right[:, 1].max() == pytest.approx(-EXTENTS[1] / 2.0)
     for finger in (left, right):
         assert (finger[:, 2].min(), finger[:, 2].max()) == pytest.approx((gripper.pad_bottom, gripper.tip))
-        assert np.ptp(finger[:, 0]) == pytest.approx(2.0 * gripper.pad_half_width)
+        assert np.ptp(finger[:, 0]) == pytest.approx(2.0 * gripper.finger_half_width)
     open_left = _Scene(model, gripper, grasp, missed(grasp)).fingers[0] @ grasp.rotation
     assert open_left[:, 1].min() - (grasp.position @ grasp.rotation)[1] == pytest.approx(gripper.max_opening)
+
+
+def test_fingers_are_closed_and_rounded():
+    """The drawn finger is a closed block, its fillets cut off a little less than their corners' prisms."""
+    import trimesh
+
+    gripper = load_gripper()
+    finger = trimesh.Trimesh(*_finger_surface(gripper))
+    length, width = gripper.tip - gripper.pad_bottom, 2.0 * gripper.finger_half_width
+    cut = (1.0 - np.pi / 4.0) * (2.0 * gripper.side_fillet**2 * length + gripper.tip_fillet**2 * width)
+    assert finger.is_watertight
+    assert finger.volume == pytest.approx(gripper.finger_thickness * width * length - cut, rel=2e-3)
 
 
 def test_nodal_stress_is_a_mean_of_elements(model):

@@ -1,11 +1,13 @@
 """What follows from the geometry of a tetrahedral mesh."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from defgrasp_ros.errors import InvalidMeshError
 from defgrasp_ros.mesh.shapes import box
-from defgrasp_ros.mesh.tet_mesh import TetMesh, signed_volumes
+from defgrasp_ros.mesh.tet_mesh import TET_EDGES, TetMesh, signed_volumes
 
 UNIT_CORNER = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
@@ -82,3 +84,45 @@ def test_faults_are_named(vertices, tetrahedra, words):
         TetMesh(vertices, tetrahedra)
     for word in words:
         assert word in str(caught.value)
+
+
+def test_order_two_adds_the_middles_of_the_edges():
+    """Corners stay, each edge gets one node at its middle, and changing the order twice changes nothing."""
+    linear = box((0.06, 0.04, 0.04), (3, 2, 2))
+    mesh = replace(linear, element_order=2)
+    np.testing.assert_array_equal(mesh.vertices[: len(linear.vertices)], linear.vertices)
+    np.testing.assert_array_equal(mesh.elements[:, :4], linear.tetrahedra)
+    middles = mesh.vertices[mesh.tetrahedra[:, TET_EDGES]].mean(axis=2)
+    np.testing.assert_allclose(mesh.vertices[mesh.elements[:, 4:]], middles, atol=1e-15)
+    assert len(np.unique(mesh.elements)) == len(mesh.vertices) == len(np.unique(mesh.vertices.round(9), axis=0))
+    np.testing.assert_array_equal(replace(mesh, element_order=2).elements, mesh.elements)
+    np.testing.assert_array_equal(replace(mesh, element_order=1).vertices, linear.vertices)
+
+
+def test_surface_of_order_two_is_the_same_body():
+    """The quartered faces enclose the same volume with the same area, and use corners and middles."""
+    linear = box((0.06, 0.04, 0.04), (3, 2, 2))
+    mesh = replace(linear, element_order=2)
+    assert len(mesh.surface_triangles) == 4 * len(linear.surface_triangles)
+    a, b, c = np.moveaxis(mesh.vertices[mesh.surface_triangles], 1, 0)
+    normals = np.cross(b - a, c - a) / 2.0
+    assert np.linalg.norm(normals, axis=1).sum() == pytest.approx(0.0128)
+    assert np.einsum("ij,ij->", normals, a) / 3.0 == pytest.approx(mesh.volume)
+    on_boundary = (np.abs(np.abs(mesh.vertices) - mesh.extents / 2) < 1e-9).any(axis=1)
+    np.testing.assert_array_equal(mesh.surface_nodes, np.flatnonzero(on_boundary))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_nodes_carry_the_volume(order):
+    """Nodal volumes are positive, sum to the volume and have its centroid; a mean of equal values is that value."""
+    mesh = replace(box((0.06, 0.04, 0.04), (3, 2, 2)), element_order=order)
+    assert (mesh.node_volumes > 0.0).all()
+    assert mesh.node_volumes.sum() == pytest.approx(mesh.volume)
+    np.testing.assert_allclose(mesh.node_volumes @ mesh.vertices, 0.0, atol=1e-18)
+    np.testing.assert_allclose(mesh.nodal_mean(np.full(len(mesh.tetrahedra), 7.0)), 7.0)
+
+
+def test_unknown_order_is_refused():
+    """Elements of other orders do not exist; the message says which do."""
+    with pytest.raises(InvalidMeshError, match="element_order = 3 .* give 1 or 2"):
+        replace(box((1, 1, 1), (1, 1, 1)), element_order=3)

@@ -1,5 +1,5 @@
 """The grasp experiments of the protocol, and the measures taken from them."""
 
-from defgrasp_ros.experiments.pickup import evaluate_grasps
+from defgrasp_ros.experiments.evaluate import evaluate_grasps
 
 __all__ = ["evaluate_grasps"]

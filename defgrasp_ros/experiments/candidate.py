@@ -7,15 +7,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from defgrasp_ros.errors import ResultCode
-from defgrasp_ros.evaluation import FINGER_NAMES, NAN, GraspEvaluation, Phase
+from defgrasp_ros.evaluation import FINGER_NAMES, NAN, FingerContact, GraspEvaluation, Phase
 from defgrasp_ros.grasp import Grasp
+from defgrasp_ros.simulation.shard import WorldSnapshot
 from defgrasp_ros.simulation.stepper import StepReport
 
 TOUCHING_SHARE = 1e-4
 """Normal force, relative to the target force, above which a body touches [-]; far above the solver's residual."""
 
 
-@dataclass
+@dataclass(eq=False)
 class Candidate:
     """A grasp, its evaluation so far, and what the phases have to remember of it."""
 
@@ -28,6 +29,15 @@ class Candidate:
     """Surface of its platform [m]."""
     phase: Phase = Phase.SQUEEZE
     finished: bool = False
+    """Whether its pickup has ended."""
+    reported: bool = False
+    """Whether the observer knows its evaluation."""
+    at_contact: WorldSnapshot | None = None
+    """Its world when the first pad touches the settled object."""
+    squeezed: WorldSnapshot | None = None
+    """Its world at the target force, still on the platform."""
+    squeezed_contacts: tuple[FingerContact, FingerContact] | None = None
+    """What the fingers felt there."""
     remark: str = ""
     """Added to the message of a grasp that holds."""
     time: float = 0.0
@@ -52,19 +62,28 @@ class Candidate:
         self.evaluation.code, self.evaluation.message = code, message
         self.finished = True
 
+    @property
+    def touching_force(self) -> float:
+        """Normal force above which a body touches [N]."""
+        return TOUCHING_SHARE * self.target_force
+
     def touching(self, normal_forces: np.ndarray) -> np.ndarray:
         """Return which bodies with these normal forces [N] touch the object."""
-        return normal_forces > TOUCHING_SHARE * self.target_force
+        return normal_forces > self.touching_force
 
-    def count_step(self, report: StepReport, row: int, step_length: float) -> None:
+    @property
+    def picked_up(self) -> bool:
+        """Whether the pickup has succeeded."""
+        return self.evaluation.metrics.pickup_success
+
+    def count_step(self, report: StepReport, row: int) -> None:
         """Add a step to the solver's account."""
-        self.time += step_length
         solver = self.evaluation.solver
         solver.iterations += int(report.iterations[row])
         solver.step_cuts += int(report.cuts[row])
         solver.contact_fallbacks += int(report.contact_fallbacks[row])
-        solver.converged = bool(report.converged[row])
-        if solver.converged:
+        solver.converged &= bool(report.converged[row])
+        if report.converged[row]:
             solver.steps += 1
             solver.residual = max(solver.residual, float(report.residual[row]))
         else:

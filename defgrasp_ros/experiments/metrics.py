@@ -52,3 +52,13 @@ def deformation(reference: np.ndarray, deformed: np.ndarray, weights: np.ndarray
     """
     rotation, translation = rigid_motion(reference, deformed, weights)
     return np.linalg.norm((deformed - translation) @ rotation - reference, axis=1)
+
+
+def centre_of_mass(positions: np.ndarray, node_volumes: np.ndarray) -> np.ndarray:
+    """Return the centre of mass of a deformed object [m], shape ``(3,)``; mass stays with its node.
+
+    Args:
+        positions: Nodes [m], shape ``(node, 3)``.
+        node_volumes: Share of each node in the volume at rest [m^3], shape ``(node,)``.
+    """
+    return node_volumes @ positions / node_volumes.sum()

@@ -11,6 +11,7 @@ from defgrasp_ros.errors import SolverDivergedError
 from defgrasp_ros.evaluation import NAN, DeformedState
 from defgrasp_ros.experiments.metrics import deformation, rigid_motion, von_mises_stress
 from defgrasp_ros.grasp import Grasp
+from defgrasp_ros.simulation.shard import WorldSnapshot
 from defgrasp_ros.simulation.simulator import Simulator
 
 SETTLE_STEPS = 80
@@ -33,6 +34,8 @@ class SettledObject:
     """[m], shape ``(3,)``."""
     duration: float
     """Simulated time [s]."""
+    snapshot: WorldSnapshot
+    """The world of the settled object, without a gripper."""
 
     def follow(self, grasp: Grasp) -> Grasp:
         """Return the grasp at the same place of the settled object."""
@@ -41,13 +44,13 @@ class SettledObject:
 
 
 def settle(simulator: Simulator, world: int, step_length: float) -> SettledObject:
-    """Put a platform at the object's lowest point in every world, and let the object sag on it in one of them.
+    """Put a platform at the object's lowest point, and let the object sag on it.
 
     The steps are quasi-static, so that an object that would roll away hardly begins to.
 
     Args:
         simulator: Its worlds hold the object as given.
-        world: The world in which it settles; the others are left to be copied from it.
+        world: The world in which it settles.
         step_length: [s].
 
     Raises:
@@ -55,7 +58,7 @@ def settle(simulator: Simulator, world: int, step_length: float) -> SettledObjec
     """
     mesh, here = simulator.model.mesh, np.array([world])
     height = float(mesh.vertices[:, 2].min())
-    simulator.place_platform(np.arange(simulator.world_count), height)
+    simulator.place_platform(here, height)
     shape = mesh.vertices
     for count in range(1, SETTLE_STEPS + 1):
         report = simulator.step(here, step_length, np.zeros(1), np.array([height]), quasi_static=True)
@@ -69,13 +72,15 @@ def settle(simulator: Simulator, world: int, step_length: float) -> SettledObjec
             break
     rotation, translation = rigid_motion(mesh.vertices, shape, mesh.node_volumes)
     state = replace(deformed_state(simulator, world), opening=NAN)
-    return SettledObject(state, height, rotation, translation, count * step_length)
+    return SettledObject(state, height, rotation, translation, count * step_length, simulator.save(world))
 
 
 def deformed_state(simulator: Simulator, world: int) -> DeformedState:
     """Return the present fields of one world."""
     here = np.array([world])
-    stress, _ = simulator.stresses(here)
+    stress, _ = simulator.point_stresses(here)
     return DeformedState(
-        simulator.positions(here)[0].copy(), von_mises_stress(stress[0]), float(simulator.openings(here)[0])
+        simulator.positions(here)[0].copy(),
+        von_mises_stress(stress[0]).max(axis=1),
+        float(simulator.openings(here)[0]),
     )

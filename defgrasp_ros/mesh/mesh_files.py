@@ -47,6 +47,7 @@ def read_mesh(
     target_edge_length: float | None = None,
     wall_thickness: float | None = None,
     edge_radius: float | None = None,
+    element_order: int = 1,
 ) -> TetMesh:
     """Read an object from a file; a surface is filled with tetrahedra.
 
@@ -57,6 +58,7 @@ def read_mesh(
             the file holds are taken as they are.
         wall_thickness: Makes a surface the outside of a hollow object with walls so thick [m]; None: a solid.
         edge_radius: Radius with which sharp edges of a surface are rounded [m]; None: they stay sharp.
+        element_order: 1 or 2, see :class:`TetMesh`.
 
     Raises:
         NotFoundError: If there is no such file.
@@ -69,6 +71,7 @@ def read_mesh(
         target_edge_length=target_edge_length,
         wall_thickness=wall_thickness,
         edge_radius=edge_radius,
+        element_order=element_order,
     ).mesh
 
 
@@ -91,12 +94,14 @@ def prepare_file(path: Path | str, **options: float | None) -> PreparedMesh:
     return _from_file(path, lambda data, format: prepare_bytes(data, format, **options))
 
 
-def prepare_bytes(data: bytes, format: str, *, scale: float = 1.0, **options: float | None) -> PreparedMesh:
+def prepare_bytes(
+    data: bytes, format: str, *, scale: float = 1.0, element_order: int = 1, **options: float | None
+) -> PreparedMesh:
     """Read an object from the contents of a file, and say what was found and mended on the way."""
     vertices, cells = parse_mesh(data, format)
     if cells.shape[1] == 4:
-        return prepare_tetrahedra(vertices, cells, scale=scale)
-    return prepare_surface(vertices, cells, scale=scale, **options)
+        return prepare_tetrahedra(vertices, cells, scale=scale, element_order=element_order)
+    return prepare_surface(vertices, cells, scale=scale, element_order=element_order, **options)
 
 
 def read_surface(path: Path | str, *, scale: float = 1.0) -> trimesh.Trimesh:

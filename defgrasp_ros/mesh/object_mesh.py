@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,6 +35,9 @@ OVERLAP_FRACTION = 0.01
 POOR_DIHEDRAL_ANGLE = np.radians(2.0)
 """Elements with a smaller angle [rad] are reported: they spoil the solution around them."""
 
+MAX_NODES = 7_000
+"""Each dense inverse of the simulation takes 3.5 GB with so many; elements of order 2 reach it first."""
+
 logger = logging.getLogger(__name__)
 
 
@@ -64,9 +67,11 @@ def mesh_from_surface(vertices: np.ndarray, triangles: np.ndarray, **options: fl
     return prepare_surface(vertices, triangles, **options).mesh
 
 
-def mesh_from_tetrahedra(vertices: np.ndarray, tetrahedra: np.ndarray, *, scale: float = 1.0) -> TetMesh:
+def mesh_from_tetrahedra(
+    vertices: np.ndarray, tetrahedra: np.ndarray, *, scale: float = 1.0, element_order: int = 1
+) -> TetMesh:
     """Return ready tetrahedra as they are, checked; arguments and errors as of ``prepare_tetrahedra``."""
-    return prepare_tetrahedra(vertices, tetrahedra, scale=scale).mesh
+    return prepare_tetrahedra(vertices, tetrahedra, scale=scale, element_order=element_order).mesh
 
 
 def prepare_surface(
@@ -77,6 +82,7 @@ def prepare_surface(
     target_edge_length: float | None = None,
     wall_thickness: float | None = None,
     edge_radius: float | None = None,
+    element_order: int = 1,
 ) -> PreparedMesh:
     """Fill a surface with tetrahedra.
 
@@ -88,6 +94,7 @@ def prepare_surface(
         target_edge_length: Edge length of the tetrahedra [m]; None: for about 1 000 nodes.
         wall_thickness: The surface is the outside of a hollow object with walls so thick [m]; None: it is solid.
         edge_radius: Radius with which sharp edges are rounded [m]; None: they stay sharp.
+        element_order: 1 or 2, see :class:`TetMesh`.
 
     Raises:
         InvalidMeshError: If the surface is no solid of plausible size; of a class that says which fault it is.
@@ -100,7 +107,7 @@ def prepare_surface(
         mends = surface.metadata[MENDS]
         if edge_radius is not None:
             raise InvalidMeshError("edge_radius has no meaning for a hollow object; leave it out")
-        mesh = shell_mesh(surface.vertices, surface.faces, wall_thickness, target_edge_length)
+        mesh = shell_mesh(surface.vertices, surface.faces, wall_thickness, target_edge_length, element_order)
         warnings: list[str] = []
     else:
         surface = closed_surface(vertices, triangles)
@@ -109,20 +116,24 @@ def prepare_surface(
         if edge_radius is not None:
             surface = with_rounded_edges(surface, edge_radius)
         volume, warnings = _united_volume(surface)
-        mesh = tetrahedralize(surface.vertices, surface.faces, target_edge_length, volume)
+        mesh = tetrahedralize(surface.vertices, surface.faces, target_edge_length, element_order, volume)
     mesh, components = _largest_body(mesh, mends)
+    mesh = replace(mesh, element_order=element_order)
     _check_elements(mesh, warnings)
     _warn(mends, warnings)
     return PreparedMesh(mesh, len(triangles), bool(watertight), components, tuple(mends), tuple(warnings))
 
 
-def prepare_tetrahedra(vertices: np.ndarray, tetrahedra: np.ndarray, *, scale: float = 1.0) -> PreparedMesh:
+def prepare_tetrahedra(
+    vertices: np.ndarray, tetrahedra: np.ndarray, *, scale: float = 1.0, element_order: int = 1
+) -> PreparedMesh:
     """Check ready tetrahedra; they are taken as they are, but for loose specks.
 
     Args:
         vertices: Positions, in metres after multiplication with ``scale``, shape ``(vertex, 3)``.
         tetrahedra: Vertex indices, shape ``(tet, 4)``.
         scale: Factor to metres, e.g. 0.001 for millimetres.
+        element_order: 1 or 2, see :class:`TetMesh`.
 
     Raises:
         InvalidMeshError: If they are no solid of plausible size.
@@ -136,6 +147,7 @@ def prepare_tetrahedra(vertices: np.ndarray, tetrahedra: np.ndarray, *, scale: f
     mends: list[str] = []
     warnings: list[str] = []
     mesh, components = _largest_body(TetMesh(vertices, tetrahedra), mends)
+    mesh = replace(mesh, element_order=element_order)
     _check_elements(mesh, warnings)
     _warn(mends, warnings)
     return PreparedMesh(mesh, None, None, components, tuple(mends), tuple(warnings))
@@ -187,6 +199,11 @@ def _check_elements(mesh: TetMesh, warnings: list[str]) -> None:
         raise MeshTooLargeError(
             f"the mesh has {len(mesh.tetrahedra)} tetrahedra, more than {MAX_TETRAHEDRA}; "
             "give a larger target_edge_length"
+        )
+    if len(mesh.vertices) > MAX_NODES:
+        raise MeshTooLargeError(
+            f"the mesh has {len(mesh.vertices)} nodes at element_order = {mesh.element_order}, more than {MAX_NODES}; "
+            "mesh it coarser"
         )
     angles = dihedral_angles(mesh).min(axis=1)
     poor = angles < POOR_DIHEDRAL_ANGLE

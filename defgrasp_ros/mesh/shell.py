@@ -16,8 +16,12 @@ from defgrasp_ros.mesh.surface_geometry import triangle_normals
 from defgrasp_ros.mesh.tet_mesh import TetMesh, signed_volumes
 from defgrasp_ros.mesh.triangle_size import REGULAR_TRIANGLE, with_triangle_size
 
-LAYERS = 2
-"""Elements through the thickness: one alone cannot bend, as the strain in it is constant."""
+LAYERS = {1: 2, 2: 1}
+"""Elements through the thickness, by element order: one of order 1 alone cannot bend, as the strain in it is
+constant."""
+
+NODES_PER_VERTEX = {1: 3, 2: 12}
+"""Nodes of the wall for each vertex of the surface, by element order."""
 
 DEFAULT_NODES = 1_100
 """Nodes aimed at where no edge length is asked for."""
@@ -34,7 +38,11 @@ MAX_OVERLAP = 0.01
 
 
 def shell_mesh(
-    vertices: np.ndarray, triangles: np.ndarray, thickness: float, target_edge_length: float | None = None
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    thickness: float,
+    target_edge_length: float | None = None,
+    element_order: int = 1,
 ) -> TetMesh:
     """Return the wall inside of a surface.
 
@@ -44,6 +52,7 @@ def shell_mesh(
             without an edge of more than two triangles. A closed surface that is inside out is turned.
         thickness: Of the wall [m].
         target_edge_length: Edge length of the triangles [m]; None: for about 1 000 nodes.
+        element_order: Of the elements that the mesh is for.
 
     Raises:
         InvalidMeshError: If a number is outside its range or the surface has no two sides.
@@ -62,16 +71,16 @@ def shell_mesh(
         InvalidMeshError, "wall_thickness", thickness, 0.0, surface.extents.max() / 2.0, low_open=True, unit="m"
     )
     if target_edge_length is None:
-        faces = 2.0 * DEFAULT_NODES / (LAYERS + 1)
+        faces = 2.0 * DEFAULT_NODES / NODES_PER_VERTEX[element_order]
         target_edge_length = float((surface.area / (REGULAR_TRIANGLE * faces)) ** 0.5)
     require_in_range(
         InvalidMeshError, "target_edge_length", target_edge_length, 0.0, surface.extents.max(), low_open=True, unit="m"
     )
     surface = with_triangle_size(surface, target_edge_length)
-    return layered_wall(np.asarray(surface.vertices), np.asarray(surface.faces), thickness)
+    return layered_wall(np.asarray(surface.vertices), np.asarray(surface.faces), thickness, LAYERS[element_order])
 
 
-def layered_wall(vertices: np.ndarray, triangles: np.ndarray, thickness: float, layers: int = LAYERS) -> TetMesh:
+def layered_wall(vertices: np.ndarray, triangles: np.ndarray, thickness: float, layers: int) -> TetMesh:
     """Return the wall inside of a surface, with the triangles as they are.
 
     Args:

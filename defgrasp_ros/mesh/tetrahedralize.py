@@ -30,6 +30,9 @@ MAX_TETRAHEDRA = 20_000
 DEFAULT_TETRAHEDRA, DEFAULT_BOUNDARY_FACES = 3_500, 2_000
 """Size aimed at where no edge length is asked for: of a compact body, and of a thin one; about 1 000 nodes."""
 
+EDGE_BY_ORDER = {1: 1.0, 2: 2.5}
+"""Edge lengths with which elements of both orders have about as many nodes, those of order 1 being 1."""
+
 TRIANGLES_PER_FACE = 3
 """Triangles kept for each boundary face of the mesh to come."""
 
@@ -61,6 +64,7 @@ def tetrahedralize(
     vertices: np.ndarray,
     triangles: np.ndarray,
     target_edge_length: float | None = None,
+    element_order: int = 1,
     volume: float | None = None,
 ) -> TetMesh:
     """Fill a closed surface with tetrahedra; equal input gives equal output.
@@ -69,6 +73,7 @@ def tetrahedralize(
         vertices: Positions [m], shape ``(vertex, 3)``.
         triangles: Vertex indices, counter-clockwise from outside, shape ``(triangle, 3)``, without boundary.
         target_edge_length: Edge length of the elements [m]; None: from the volume, for about 1 000 nodes.
+        element_order: Of the elements that the mesh is for; order 2 has more nodes to an edge, so the edges are longer.
         volume: Volume of the solid [m^3]; None: what the surface encloses, if it does not overlap itself.
 
     Raises:
@@ -80,9 +85,10 @@ def tetrahedralize(
     surface = trimesh.Trimesh(vertices, triangles, process=False)
     volume, area = float(volume or surface.volume), float(surface.area)
     if target_edge_length is None:
-        target_edge_length = max(
+        edge_length = max(
             _edge_length(volume, DEFAULT_TETRAHEDRA), (area / (REGULAR_TRIANGLE * DEFAULT_BOUNDARY_FACES)) ** 0.5
         )
+        target_edge_length = EDGE_BY_ORDER[element_order] * edge_length
     check = require_in_range
     check(
         InvalidMeshError, "target_edge_length", target_edge_length, 0.0, surface.extents.max(), low_open=True, unit="m"

@@ -57,26 +57,32 @@ class LibraryObject:
         vertices, triangles = (made.vertices, made.surface_triangles) if isinstance(made, TetMesh) else made
         return _placed(vertices), triangles
 
-    def mesh(self, target_edge_length: float | None = None) -> TetMesh:
-        """Return its tetrahedra, about 1 000 nodes where no edge length [m] is given; made once, then cached.
+    def mesh(self, target_edge_length: float | None = None, element_order: int = 1) -> TetMesh:
+        """Return its tetrahedra, made once, then cached.
+
+        Args:
+            target_edge_length: Edge length [m]; None: for about 1 000 nodes.
+            element_order: 1 or 2, see :class:`TetMesh`.
 
         Raises:
             InvalidOptionsError: If an edge length is given for a hollow object, whose walls have their own.
             InvalidMeshError: As ``prepare_surface``.
         """
-        made = self._make()
+        made = self._make(element_order)
         if isinstance(made, TetMesh):
             if target_edge_length is not None:
                 raise InvalidOptionsError(f"{self.name} is hollow: its mesh has a fixed target_edge_length")
-            return TetMesh(_placed(made.vertices), made.tetrahedra)
-        return prepare_surface(_placed(made[0]), made[1], target_edge_length=target_edge_length).mesh
+            return TetMesh(_placed(made.vertices), made.tetrahedra, element_order)
+        options = {"target_edge_length": target_edge_length, "element_order": element_order}
+        return prepare_surface(_placed(made[0]), made[1], **options).mesh
 
-    def model(self, target_edge_length: float | None = None) -> ObjectModel:
-        """Return mesh and default material; errors as of ``mesh``."""
-        return ObjectModel(self.name, self.mesh(target_edge_length), self.material.material)
+    def model(self, target_edge_length: float | None = None, element_order: int = 1) -> ObjectModel:
+        """Return mesh and default material; arguments and errors as of ``mesh``."""
+        return ObjectModel(self.name, self.mesh(target_edge_length, element_order), self.material.material)
 
-    def _make(self) -> TetMesh | tuple[np.ndarray, np.ndarray]:
-        return _shape_function(self.shape)(**self.dimensions)
+    def _make(self, element_order: int = 1) -> TetMesh | tuple[np.ndarray, np.ndarray]:
+        order = {"element_order": element_order} if self.shape in HOLLOWS else {}
+        return _shape_function(self.shape)(**self.dimensions, **order)
 
 
 @cache

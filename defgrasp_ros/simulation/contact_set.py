@@ -9,8 +9,8 @@ from defgrasp_ros.simulation import kernels_contact as contact
 from defgrasp_ros.simulation import kernels_coulomb as coulomb
 from defgrasp_ros.simulation import kernels_detection as detection
 from defgrasp_ros.simulation import kernels_faces as faces
-from defgrasp_ros.simulation.coulomb import ContactProblem, CoulombSolver
-from defgrasp_ros.simulation.dense import DeviceAlgebra, HostAlgebra
+from defgrasp_ros.simulation.contact_forces import SLIPPING_SHARE, ContactForces
+from defgrasp_ros.simulation.coulomb import ContactProblem, solve_contacts
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
 from defgrasp_ros.simulation.types import mat33d, vec3d
@@ -24,6 +24,7 @@ MARGIN = 1e-2
 """Gap below which a point becomes a candidate, relative to the mean surface edge [-]."""
 PENETRATION = 1e-5
 """Depth of an unlisted point that makes a step look for contacts again, relative to the object's size [-]."""
+CONTACT_FIELDS = ("key", "body", "nodes", "weights", "frame", "plane", "axis", "force")
 
 
 class ContactSet:
@@ -37,19 +38,16 @@ class ContactSet:
         model: DeviceModel,
         state: WorldState,
         world_count: int,
-        size: float,
         device: wp.Device,
-        algebra: HostAlgebra | DeviceAlgebra,
     ):
         self._model = model
         self._state = state
         self._world_count = world_count
         self._device = device
-        self._algebra = algebra
         self._margin = MARGIN * model.mean_edge
-        self._penetration = PENETRATION * size
+        self._penetration = PENETRATION * model.size
         self._normal = wp.zeros((world_count, model.node_count), dtype=vec3d, device=device)
-        self._outside = wp.zeros((world_count, model.node_count), dtype=int, device=device)
+        self._places = wp.zeros((world_count, model.node_count), dtype=int, device=device)
         feature_count = sum(len(a) for a in (model.surface.nodes, model.surface.edges, model.surface.triangles))
         chunk_count = -(-feature_count // detection.CHUNK)
         self._near = wp.zeros((world_count, faces.BODY_COUNT, chunk_count), dtype=wp.uint64, device=device)
@@ -73,10 +71,7 @@ class ContactSet:
         self._force = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
         self._motion = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
         self._rho = wp.zeros(worlds, dtype=wp.float64, device=device)
-        square = (worlds, 3 * capacity, 3 * capacity)
-        self._compliance = wp.zeros(square, dtype=wp.float64, device=device)
-        self._inverse = wp.zeros(square, dtype=wp.float64, device=device)
-        self._solver = CoulombSolver(worlds, capacity, device, self._algebra)
+        self._compliance = wp.zeros((worlds, 3 * capacity, 3 * capacity), dtype=wp.float64, device=device)
         self.stale.fill_(1)
 
     def _grow(self, count: int) -> None:
@@ -167,15 +162,14 @@ class ContactSet:
                 break
             capacity = needed
         listed = (np.arange(capacity) < every.count.numpy()[:, None]) & (every.key.numpy() >= 0)
-        axis = np.where(listed, every.axis.numpy()[:, :, 0], 1.0)
-        along_axis = np.where(listed, gap.numpy() / axis, np.inf).min(axis=1, initial=np.inf)
-        return along_axis.reshape(-1, faces.BODY_COUNT)[:, [faces.LEFT_PAD, faces.RIGHT_PAD]]
+        smallest = np.where(listed, gap.numpy(), np.inf).min(axis=1, initial=np.inf)
+        return smallest.reshape(-1, faces.BODY_COUNT)[:, [faces.LEFT_PAD, faces.RIGHT_PAD]]
 
     def _scene(self, displacement: wp.array) -> detection.Scene:
         scene, model = detection.Scene(), self._model
         scene.surface, scene.faces, scene.bodies = model.surface, model.faces, self._state.bodies
         scene.rest, scene.displacement = model.vertices, displacement
-        scene.normal, scene.outside = self._normal, self._outside
+        scene.normal, scene.places = self._normal, self._places
         return scene
 
     def _screen(self, scene: detection.Scene, rows: wp.array, margin: float) -> None:
@@ -205,7 +199,7 @@ class ContactSet:
         set_entries(self.stale, worlds[self._assembled_step[worlds] != step_length], 1)
 
     def refresh_compliance(self, rows: wp.array, shared: SharedCompliance) -> None:
-        """Assemble and invert W anew where the points, the rotations or the step length changed."""
+        """Assemble W anew where the points, the rotations or the step length changed."""
         worlds, state = rows.numpy(), self._state
         stale = worlds[self.stale.numpy()[worlds] != 0]
         if not len(stale):
@@ -219,8 +213,6 @@ class ContactSet:
             [shared.matrix, shared.step_length, lists, some, state.rotation, state.finger_damping],
             [self._compliance],
         )
-        sizes = 3 * lists.count.numpy()
-        self._algebra.invert(self._compliance, stale, sizes, self._rho.numpy(), self._inverse)
         set_entries(self.stale, stale, 0)
         self._assembled_step[stale] = shared.step_length
 
@@ -246,34 +238,41 @@ class ContactSet:
             correction: Nodal correction that would follow without a change of forces (row, node) [m].
             tolerance: Largest residual [N], shape ``(row,)``.
         """
-        count = rows.shape[0]
         self._relative_motion(rows, correction)
-        problem = ContactProblem(
-            worlds=rows,
-            count=self.lists.count,
-            friction=self._model.friction,
-            rho=self._rho,
-            matrix=self._compliance,
-            inverse=self._inverse,
-            force=self._force[:count],
-            motion=self._motion[:count],
-            tolerance=wp.array(tolerance, dtype=wp.float64, device=self._device),
-        )
-        force, hard = self._solver.solve(problem)
-        self._launch(contact.store_forces, (count, self.capacity), [rows, force, self.lists])
-        self._launch(_change, (count, self.capacity), [force, self._force])
+        worlds, count = rows.numpy(), self.lists.count.numpy()
+        matrix, rho = self._compliance.numpy(), self._rho.numpy()
+        before, motion = (_flat(array) for array in (self._force, self._motion))
+        after = before[: len(worlds)].copy()
+        hard = np.zeros(len(worlds), dtype=bool)
+        for row, w in enumerate(worlds):
+            n = 3 * count[w]
+            if n:
+                block, start = matrix[w, :n, :n], before[row, :n]
+                problem = ContactProblem(block, motion[row, :n] - block @ start, self._model.friction, rho[w])
+                after[row, :n], hard[row] = solve_contacts(problem, start, tolerance[row])
+        force = wp.array(after.reshape(len(worlds), -1, 3), dtype=vec3d, device=self._device)
+        self._launch(contact.store_forces, force.shape, [rows, force, self.lists])
+        self._launch(_change, force.shape, [force, self._force])
         return hard
 
     def add_force_change(self, rows: wp.array, nodal_force: wp.array) -> None:
         """Add what the last ``solve`` changed in the contact forces to nodal forces (row, node) [N]."""
         self._scatter(rows, nodal_force)
 
-    def copy_world(self, source: int, worlds: np.ndarray) -> None:
-        """Give some worlds the points and forces of another."""
-        for name in ("count", "key", "body", "nodes", "weights", "frame", "plane", "axis", "force"):
-            array = getattr(self.lists, name)
-            set_entries(array, worlds, array.numpy()[source])
-        set_entries(self.stale, worlds, 1)
+    def snapshot(self, world: int) -> dict[str, np.ndarray]:
+        """Return the points and forces of a world, on the host."""
+        count = self.lists.count.numpy()[world]
+        return {name: getattr(self.lists, name).numpy()[world, :count].copy() for name in CONTACT_FIELDS}
+
+    def restore(self, world: int, snapshot: dict[str, np.ndarray]) -> None:
+        """Give a world the points and forces that another had."""
+        count = len(snapshot["key"])
+        if count > self.capacity:
+            self._grow(count)
+        set_entries(self.lists.count, world, count)
+        for name, values in snapshot.items():
+            set_entries(getattr(self.lists, name), (world, slice(count)), values)
+        set_entries(self.stale, world, 1)
 
     def normal_forces(self, worlds: np.ndarray) -> np.ndarray:
         """Force of each body along the normal of its face [N], shape ``(n, body)``.
@@ -283,9 +282,42 @@ class ContactSet:
         count, body = self.lists.count.numpy()[worlds], self.lists.body.numpy()[worlds]
         force = np.einsum("ncj,ncj->nc", self.lists.axis.numpy()[worlds], self.lists.force.numpy()[worlds])
         listed = np.arange(self.capacity) < count[:, None]
+<<<<<<< HEAD
         return np.stack(
             [np.where(listed & (body == b), force, 0.0).sum(axis=1) for b in range(faces.BODY_COUNT)], axis=1
         )
+=======
+        bodies = range(faces.BODY_COUNT)
+        return np.stack([np.where(listed & (body == b), force, 0.0).sum(axis=1) for b in bodies], axis=1)
+
+    def loaded(self, world: int, positions: np.ndarray, threshold: float) -> ContactForces:
+        """The points of a world that carry more than ``threshold`` [N]; nodes are at ``positions`` [m]."""
+        lists = self.lists
+        force = lists.force.numpy()[world, : lists.count.numpy()[world]]
+        points = np.flatnonzero(force[:, 0] > threshold)
+        body, nodes, weights = (array.numpy()[world, points] for array in (lists.body, lists.nodes, lists.weights))
+        frame = lists.frame.numpy()[world, points]
+        return ContactForces(
+            body=body,
+            positions=np.einsum("ck,ckj->cj", weights, positions[nodes]),
+            normals=frame[:, 0],
+            forces=np.einsum("cij,ci->cj", frame, force[points]),
+            nodes=nodes,
+            weights=weights,
+            friction=self._model.friction,
+        )
+
+    def sliding(self, worlds: np.ndarray) -> np.ndarray:
+        """Whether each pad touches and all of its loaded points have used up their friction, shape ``(n, 2)``."""
+        count, body = self.lists.count.numpy()[worlds], self.lists.body.numpy()[worlds]
+        force = self.lists.force.numpy()[worlds]
+        loaded = (np.arange(self.capacity) < count[:, None]) & (force[:, :, 0] > 0.0)
+        limit = SLIPPING_SHARE * self._model.friction * force[:, :, 0]
+        holding = loaded & (np.hypot(force[:, :, 1], force[:, :, 2]) < limit)
+        pads = (faces.LEFT_PAD, faces.RIGHT_PAD)
+        mine = [body == pad for pad in pads]
+        return np.stack([(loaded & m).any(axis=1) & ~(holding & m).any(axis=1) for m in mine], axis=1)
+>>>>>>> main
 
     def _scatter(self, rows: wp.array, nodal_force: wp.array) -> None:
         inputs = [self.lists, rows, self._force, nodal_force]
@@ -306,6 +338,11 @@ class ContactSet:
 
     def _launch(self, kernel, dim, inputs: list, outputs: list | None = None) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self._device)
+
+
+def _flat(vectors: wp.array) -> np.ndarray:
+    """An array of vectors on the host as numbers, shape ``(row, 3 column)``."""
+    return vectors.numpy().reshape(vectors.shape[0], -1)
 
 
 @wp.kernel

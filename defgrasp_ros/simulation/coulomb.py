@@ -1,275 +1,206 @@
-"""Solves the frictional contact problem of each world, and says how well.
+"""The frictional contact problem of one world: Signorini's and Coulomb's exact laws over a small dense matrix.
 
-ADMM first (see ``kernels_coulomb``); a world that it leaves unsolved goes to a semismooth Newton method on the host,
-and from there, if need be, back to a long ADMM run. The problem is small and dense: a few tens of contacts.
+Given w(lambda) = W lambda + q, find for each contact
+
+    0 <= w_n  _|_  lambda_n >= 0,    |lambda_t| <= mu lambda_n,    w_t != 0  =>  lambda_t = -mu lambda_n w_t / |w_t|,
+
+which is  K  contains  lambda  _|_  w + mu |w_t| n  in  K*  with the Coulomb cone K (De Saxce). The residual of a
+solution is that of the natural map, |lambda - Proj_K(lambda - (w + mu |w_t| n) / rho)| [N], largest over the contacts.
+
+A semismooth Newton method starts from the forces of the iteration before; it mostly needs one to four linear systems.
+Where it gets stuck it starts again, with another scaling or from no forces at all.
+Vectors of a contact are (normal, tangential, tangential).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import warp as wp
 
-from defgrasp_ros.simulation import kernels_coulomb as kernels
-from defgrasp_ros.simulation.dense import DeviceAlgebra, HostAlgebra
-from defgrasp_ros.simulation.types import vec3d
-
-wp.set_module_options({"enable_backward": False})
-
-SHORT_RUN = 60
-"""ADMM iterations before Newton's method takes over."""
-LONG_RUN = 3000
-"""ADMM iterations after Newton's method has failed."""
-CHECK_INTERVAL = 5
-"""ADMM iterations between two looks of the host at what is done."""
-NEWTON_ITERATIONS = 30
+MAX_NEWTON_ITERATIONS = 20
+"""For one attempt."""
 NEWTON_REGULARISATION = 1e-6
-NEWTON_SCALES = (10.0, 1.0)
-"""Scalings of motion to force, relative to ADMM's, tried in turn: each fails on problems that the other solves."""
+"""Shift of the diagonal [-]: neighbouring points can depend on each other, this picks one of the equal solutions."""
+SUFFICIENT_DECREASE = 0.1
+SHORTEST_STEP = 1e-3
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class ContactProblem:
-    """The contact problems of some worlds; row i of the buffers belongs to ``worlds[i]``.
+    """One world's contacts."""
 
-    ``matrix`` W [m/N] and ``inverse`` (W + rho)^-1 [N/m] have shape ``(world, 3 contact, 3 contact)``;
-    ``motion`` is w at the forces ``force`` (row, contact) and both are in contact frames.
-    """
-
-    worlds: wp.array
-    count: wp.array
+    matrix: np.ndarray
+    """W [m/N], shape ``(3 contact, 3 contact)``, symmetric positive semi-definite."""
+    offset: np.ndarray
+    """q [m], shape ``(3 contact,)``."""
     friction: float
-    rho: wp.array
-    matrix: wp.array
-    inverse: wp.array
-    force: wp.array
-    motion: wp.array
-    tolerance: wp.array
-    """Largest accepted residual of the natural map [N], shape ``(row,)``."""
+    """Coulomb's mu [-]."""
+    rho: float
+    """Elastic self-compliance of a contact [m/N], the scale of the natural map."""
+
+    def motion(self, force: np.ndarray) -> np.ndarray:
+        """Return w [m] of forces [N], both ``(3 contact,)``."""
+        return self.matrix @ force + self.offset
+
+    def residual(self, force: np.ndarray, motion: np.ndarray) -> float:
+        """Return the largest distance of a contact from its law [N]."""
+        f, w = force.reshape(-1, 3), motion.reshape(-1, 3)
+        target = project_on_cone(f - with_de_saxce(w, self.friction) / self.rho, self.friction)
+        return float(np.sqrt(np.square(f - target).sum(axis=1).max(initial=0.0)))
 
 
-class CoulombSolver:
-    """Work buffers and the sequence of methods."""
+def solve_contacts(problem: ContactProblem, start: np.ndarray, tolerance: float) -> tuple[np.ndarray, bool]:
+    """Find the forces that obey the laws to a residual of ``tolerance`` [N].
 
-    def __init__(self, rows: int, capacity: int, device: wp.Device, algebra: HostAlgebra | DeviceAlgebra):
-        self.device = device
-        self.algebra = algebra
-        shape = (rows, capacity)
-        self._z, self._dual, self._right_side, self._offset, self._x = (
-            wp.zeros(shape, dtype=vec3d, device=device) for _ in range(5)
-        )
-        self._done = wp.zeros(rows, dtype=int, device=device)
+    Args:
+        problem: The contacts.
+        start: First guess [N], shape ``(3 contact,)``.
+        tolerance: Largest accepted residual [N].
 
-    def solve(self, problem: ContactProblem) -> tuple[wp.array, np.ndarray]:
-        """Return the forces, shape ``(row, contact)`` [N], and which rows ADMM's short run left unsolved."""
-        rows, capacity = problem.worlds.shape[0], self._x.shape[1]
-        sizes = 3 * problem.count.numpy()
-        done = self._done[:rows]
-        done.zero_()
-
-        def product(matrix: wp.array, vector: wp.array, out: wp.array) -> Callable[[], None]:
-            flat = [_as_scalars(a, rows) for a in (vector, out)]
-            return self.algebra.world_product(matrix, problem.worlds, sizes, done, *flat)
-
-        product(problem.matrix, problem.force, self._offset)()
-        wp.launch(_subtract, dim=(rows, capacity), inputs=[problem.motion, self._offset], device=self.device)
-        wp.launch(
-            kernels.admm_start,
-            dim=(rows, capacity),
-            inputs=[
-                problem.count,
-                problem.worlds,
-                problem.friction,
-                problem.rho,
-                self._offset,
-                problem.force,
-                problem.motion,
-            ],
-            outputs=[self._z, self._dual, self._right_side],
-            device=self.device,
-        )
-        iteration = [
-            product(problem.inverse, self._right_side, self._x),
-            wp.launch(
-                kernels.admm_project,
-                dim=(rows, capacity),
-                inputs=[problem.count, problem.worlds, done, problem.friction, problem.rho, self._offset, self._x],
-                outputs=[self._z, self._dual, self._right_side],
-                device=self.device,
-                record_cmd=True,
-            ).launch,
-        ]
-        check = [
-            product(problem.matrix, self._z, self._x),
-            wp.launch(
-                kernels.admm_check,
-                dim=rows,
-                inputs=[problem.count, problem.worlds, problem.friction, problem.rho, problem.tolerance]
-                + [self._offset, self._z, self._x],
-                outputs=[done],
-                device=self.device,
-                record_cmd=True,
-            ).launch,
-        ]
-        if self._iterate(iteration, check, done, SHORT_RUN):
-            return self._z[:rows], np.zeros(rows, dtype=bool)
-        unsolved = done.numpy() == 0
-        self._newton(problem, sizes, np.flatnonzero(unsolved))
-        self._iterate(iteration, check, done, LONG_RUN)
-        return self._z[:rows], unsolved
-
-    @staticmethod
-    def _iterate(iteration: list[Callable], check: list[Callable], done: wp.array, limit: int) -> bool:
-        """Run ADMM until every world is done; return whether that is so."""
-        for count in range(limit + 1):
-            if count % CHECK_INTERVAL == 0:
-                for call in check:
-                    call()
-                if done.numpy().all():
-                    return True
-            for call in iteration:
-                call()
-        return False
-
-    def _newton(self, problem: ContactProblem, sizes: np.ndarray, rows: np.ndarray) -> None:
-        """Put Newton's solution of some rows into z and the dual; what failed keeps ADMM's iterate."""
-        worlds, rho, tolerance = problem.worlds.numpy(), problem.rho.numpy(), problem.tolerance.numpy()
-        z, offset = self._z.numpy(), self._offset.numpy()
-        dual, right_side = self._dual.numpy(), self._right_side.numpy()
-        matrices = problem.matrix.numpy()
-        for i in rows:
-            w, n = worlds[i], sizes[worlds[i]]
-            matrix, q = matrices[w, :n, :n], offset[i].reshape(-1)[:n]
-            force = None
-            for scale in NEWTON_SCALES:
-                start, goal = z[i].reshape(-1)[:n], 0.1 * tolerance[i] / scale
-                trial, residual = semismooth_newton(matrix, q, problem.friction, scale * rho[w], start, goal)
-                if residual <= goal:
-                    force = trial
-                    break
-            if force is None:
-                continue
-            motion = (matrix @ force + q).reshape(-1, 3)
-            motion[:, 0] += problem.friction * np.linalg.norm(motion[:, 1:], axis=1)
-            contacts = n // 3
-            z[i, :contacts] = force.reshape(-1, 3)
-            dual[i, :contacts] = -motion / rho[w]
-            shift = problem.friction * np.linalg.norm(motion[:, 1:], axis=1)
-            right_side[i, :contacts] = rho[w] * z[i, :contacts] + motion - offset[i, :contacts]
-            right_side[i, :contacts, 0] -= shift
-        if self.device.is_cuda:
-            for array, values in ((self._z, z), (self._dual, dual), (self._right_side, right_side)):
-                array.assign(values)
+    Returns:
+        Forces [N], shape ``(3 contact,)``, and whether the first attempt failed. Forces that obey the laws less well
+        than asked for are the best that were found; the caller's own residual tells.
+    """
+    # From force to motion there is an elastic scale and one of the rigid body. The best mostly lies between them, but
+    # each combination fails on problems that another one solves.
+    elastic, mean = problem.rho, 0.2 * np.sqrt(problem.rho * np.trace(problem.matrix))
+    none = np.zeros_like(start)
+    attempts = [(start, mean), (start, 10.0 * elastic), (start, elastic)]
+    attempts += [(none, mean), (none, elastic), (none, 10.0 * elastic)]
+    best, least = start, np.inf
+    for number, (guess, scale) in enumerate(attempts):
+        force, residual = semismooth_newton(problem, scale, guess, tolerance)
+        if residual < least:
+            best, least = force, residual
+        if residual <= tolerance:
+            return best, number > 0
+    return best, True
 
 
 def semismooth_newton(
-    matrix: np.ndarray, offset: np.ndarray, friction: float, rho: float, start: np.ndarray, tolerance: float
+    problem: ContactProblem, scale: float, start: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, float]:
-    """Solve one contact problem by Newton's method on Alart and Curnier's function, with a line search.
+    """Newton's method on Alart and Curnier's function (1991), with a line search on its norm.
 
     Phi(lambda) = lambda - (max(0, lambda_n - w_n / r), P_disk(lambda_t - w_t / r)) with disk radius
-    mu max(0, lambda_n - w_n / r), where r scales motion to force.
+    mu max(0, lambda_n - w_n / r).
 
     Args:
-        matrix: W [m/N], shape ``(3 contact, 3 contact)``.
-        offset: q [m], shape ``(3 contact,)``, in contact frames.
-        friction: Coulomb's mu [-].
-        rho: Scale r [m/N].
+        problem: The contacts.
+        scale: r [m/N], from force to motion; it sets the path, not the solution.
         start: First guess [N], shape ``(3 contact,)``.
-        tolerance: Residual at which to stop [N].
+        tolerance: Residual of the natural map at which to stop [N].
 
     Returns:
-        Forces [N], shape ``(3 contact,)``, and the largest entry of Phi [N].
+        Forces [N], shape ``(3 contact,)``, and the residual of the natural map [N].
     """
-
-    def function(force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        trial = (force - (matrix @ force + offset) / rho).reshape(-1, 3)
-        return force - _alart_curnier(trial, friction).reshape(-1), trial
-
-    force = start.copy()
-    value, trial = function(force)
-    for _ in range(NEWTON_ITERATIONS):
-        if np.abs(value).max(initial=0.0) < tolerance:
-            break
-        try:
-            direction = _newton_direction(matrix / rho, trial, value, friction)
-        except np.linalg.LinAlgError:
-            break  # no direction from here; the residual tells that this is no solution
-        length, merit = 1.0, np.linalg.norm(value)
-        while length > 1e-3:
-            candidate, candidate_trial = function(force + length * direction)
-            if np.linalg.norm(candidate) < (1.0 - 0.1 * length) * merit:
+    force, motion = start, problem.motion(start)
+    trial = force - motion / scale
+    value = force - _alart_curnier(trial, problem.friction)
+    for _ in range(MAX_NEWTON_ITERATIONS):
+        residual = problem.residual(force, motion)
+        if residual <= tolerance:
+            return force, residual
+        direction = _newton_direction(problem, scale, trial, value)
+        if direction is None:
+            return force, residual
+        change, merit, length = problem.matrix @ direction, np.linalg.norm(value), 1.0
+        if not np.isfinite(change @ change):
+            return force, residual
+        while True:
+            next_force, next_motion = force + length * direction, motion + length * change
+            trial = next_force - next_motion / scale
+            value = next_force - _alart_curnier(trial, problem.friction)
+            if np.linalg.norm(value) < (1.0 - SUFFICIENT_DECREASE * length) * merit or length < SHORTEST_STEP:
                 break
             length *= 0.5
-        force = force + length * direction
-        value, trial = (candidate, candidate_trial) if length > 1e-3 else function(force)
-    return force, float(np.abs(value).max(initial=0.0))
+        force, motion = next_force, next_motion
+    return force, problem.residual(force, motion)
 
 
-def _newton_direction(scaled: np.ndarray, trial: np.ndarray, value: np.ndarray, friction: float) -> np.ndarray:
+def _newton_direction(problem: ContactProblem, scale: float, trial: np.ndarray, value: np.ndarray) -> np.ndarray | None:
     """Solve the linearised system; contacts that are open at ``trial`` just give up their force.
 
     Args:
-        scaled: W / r [-], shape ``(3 contact, 3 contact)``.
-        trial: lambda - w / r [N], shape ``(contact, 3)``.
+        problem: The contacts.
+        scale: r [m/N].
+        trial: lambda - w / r [N], shape ``(3 contact,)``.
         value: Phi [N], shape ``(3 contact,)``.
-        friction: Coulomb's mu [-].
+
+    Returns:
+        Direction [N], shape ``(3 contact,)``, or None where the system is singular.
     """
-    pressed = np.repeat(trial[:, 0] > 0.0, 3)
+    trial = trial.reshape(-1, 3)
+    pressed = np.flatnonzero(trial[:, 0] > 0.0)
     direction = -value
-    if not pressed.any():
+    if not len(pressed):
         return direction
-    slope = _alart_curnier_slope(trial[trial[:, 0] > 0.0], friction)
-    rows = scaled[pressed]
-    system = np.eye(len(rows)) - _block_times(slope, np.eye(len(rows)) - rows[:, pressed])
-    # Neighbouring points can depend on each other; the small shift picks one of their equivalent solutions.
-    system[np.diag_indices(len(rows))] += NEWTON_REGULARISATION
-    right_side = -value[pressed] - _block_times(slope, rows[:, ~pressed] @ direction[~pressed][:, None])[:, 0]
-    direction[pressed] = np.linalg.solve(system, right_side)
+    rows = (3 * pressed[:, None] + np.arange(3)).ravel()
+    direction[rows] = 0.0
+    slope = _alart_curnier_slope(trial[pressed], problem.friction)
+    # (1 - S (1 - W / r)) d = -Phi - S W d_open / r over the pressed contacts
+    block = problem.matrix.take(rows, axis=0).take(rows, axis=1)
+    block /= scale
+    block.reshape(-1)[:: len(rows) + 1] -= 1.0
+    system = np.matmul(slope, block.reshape(len(pressed), 3, -1)).reshape(block.shape)
+    system.reshape(-1)[:: len(rows) + 1] += 1.0 + NEWTON_REGULARISATION
+    pushed = (problem.matrix @ direction)[rows].reshape(-1, 3, 1) / scale
+    right_side = -value[rows] - np.matmul(slope, pushed).ravel()
+    try:
+        direction[rows] = np.linalg.solve(system, right_side)
+    except np.linalg.LinAlgError:
+        return None
     return direction
 
 
 def _alart_curnier(trial: np.ndarray, friction: float) -> np.ndarray:
-    """Return (max(0, n), projection of t on the disk of radius mu max(0, n)); shapes ``(contact, 3)`` [N]."""
+    """Return (max(0, n), projection of t on the disk of radius mu max(0, n)); shapes ``(3 contact,)`` [N]."""
+    trial = trial.reshape(-1, 3)
+    projected = trial.copy()
     normal = np.maximum(trial[:, 0], 0.0)
-    length = np.linalg.norm(trial[:, 1:], axis=1)
-    radius = friction * normal
-    scale = np.where(length > radius, radius / np.maximum(length, 1e-300), 1.0)
-    return np.column_stack([normal, scale[:, None] * trial[:, 1:]])
+    length, radius = np.hypot(trial[:, 1], trial[:, 2]), friction * normal
+    sliding = length > radius
+    projected[:, 0] = normal
+    projected[sliding, 1:] *= (radius[sliding] / length[sliding])[:, None]
+    return projected.reshape(-1)
 
 
 def _alart_curnier_slope(trial: np.ndarray, friction: float) -> np.ndarray:
-    """Return an element of the generalised Jacobian of :func:`_alart_curnier`, shape ``(contact, 3, 3)``."""
+    """Return an element of the generalised Jacobian of :func:`_alart_curnier` at pressed contacts.
+
+    Args:
+        trial: Pressed contacts, shape ``(contact, 3)``.
+        friction: Coulomb's mu [-].
+
+    Returns:
+        Shape ``(contact, 3, 3)``.
+    """
     slope = np.zeros((len(trial), 3, 3))
-    normal, tangential = trial[:, 0], trial[:, 1:]
-    length = np.linalg.norm(tangential, axis=1)
-    pressed = normal > 0.0
-    slope[pressed, 0, 0] = 1.0
-    sticking = pressed & (length <= friction * normal)
-    slope[sticking, 1, 1] = slope[sticking, 2, 2] = 1.0
-    sliding = pressed & ~sticking
-    direction = tangential[sliding] / length[sliding, None]
-    slope[sliding, 1:, 0] = friction * direction
-    across = np.eye(2) - direction[:, :, None] * direction[:, None, :]
-    slope[sliding, 1:, 1:] = (friction * normal[sliding] / length[sliding])[:, None, None] * across
+    slope[:, [0, 1, 2], [0, 1, 2]] = 1.0
+    length, radius = np.hypot(trial[:, 1], trial[:, 2]), friction * trial[:, 0]
+    sliding = np.flatnonzero(length > radius)
+    if len(sliding):
+        direction = trial[sliding, 1:] / length[sliding, None]
+        across = np.eye(2) - direction[:, :, None] * direction[:, None, :]
+        slope[sliding, 1:, 0] = friction * direction
+        slope[sliding, 1:, 1:] = (radius[sliding] / length[sliding])[:, None, None] * across
     return slope
 
 
-def _block_times(blocks: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Return blockdiag(blocks) @ matrix."""
-    return np.einsum("cij,cjk->cik", blocks, matrix.reshape(len(blocks), 3, -1)).reshape(matrix.shape)
+def project_on_cone(v: np.ndarray, friction: float) -> np.ndarray:
+    """Return the points of the Coulomb cone |v_t| <= mu v_n closest to v, shape ``(contact, 3)``."""
+    tangential = np.hypot(v[:, 1], v[:, 2])
+    normal = np.maximum((v[:, 0] + friction * tangential) / (1.0 + friction**2), 0.0)
+    outside = tangential > friction * v[:, 0]
+    projected = v.copy()
+    projected[outside, 0] = normal[outside]
+    projected[outside, 1:] *= (friction * normal[outside] / np.maximum(tangential[outside], 1e-300))[:, None]
+    return projected
 
 
-def _as_scalars(vectors: wp.array, rows: int) -> wp.array:
-    """The first rows of an array of vectors as an array of numbers, shape ``(row, 3 contact)``, without copying."""
-    shape = (rows, 3 * vectors.shape[1])
-    return wp.array(ptr=vectors.ptr, dtype=wp.float64, shape=shape, device=vectors.device)
-
-
-@wp.kernel
-def _subtract(minuend: wp.array2d[vec3d], difference: wp.array2d[vec3d]):
-    """difference = minuend - difference."""
-    i, c = wp.tid()
-    difference[i, c] = minuend[i, c] - difference[i, c]
+def with_de_saxce(motion: np.ndarray, friction: float) -> np.ndarray:
+    """Return w + mu |w_t| n, shape ``(contact, 3)``."""
+    shifted = motion.copy()
+    shifted[:, 0] += friction * np.hypot(motion[:, 1], motion[:, 2])
+    return shifted

@@ -55,6 +55,19 @@ CHUNK = 64
 EDGE_POINTS = wp.constant(2)
 TRIANGLE_POINTS = wp.constant(4)
 
+# Where a node lies relative to a body; a feature whose nodes share one of the first six bits cannot touch.
+IN_FRONT = wp.constant(1)
+BEHIND = wp.constant(2)
+BEYOND_LOW_0 = wp.constant(4)
+BEYOND_HIGH_0 = wp.constant(8)
+BEYOND_LOW_1 = wp.constant(16)
+BEYOND_HIGH_1 = wp.constant(32)
+OVER_FLAT = wp.constant(64)
+"""Over the flat part: an edge or triangle there has its smallest gap at a node."""
+NODE_BITS = wp.constant(63)
+FEATURE_BITS = wp.constant(127)
+BITS_PER_BODY = wp.constant(7)
+
 
 @wp.struct
 class Surface:
@@ -83,7 +96,7 @@ class Scene:
     rest: wp.array[vec3d]  # (node,) [m]
     displacement: wp.array2d[vec3d]  # (world, node) [m]
     normal: wp.array2d[vec3d]  # (world, node): outward
-    outside: wp.array2d[int]  # (world, node): bits that tell on which sides of each body a node lies
+    places: wp.array2d[int]  # (world, node): bits that tell where a node lies relative to each body
 
 
 @wp.struct
@@ -112,13 +125,40 @@ def triangle_normal(scene: Scene, world: int, t: int) -> vec3d:
     return wp.cross(b - a, c - a)
 
 
+@wp.func
+def within(p: vec3d, low: vec2d, high: vec2d) -> bool:
+    """Whether a place on a face lies within a rectangle."""
+    return p[0] >= low[0] and p[0] <= high[0] and p[1] >= low[1] and p[1] <= high[1]
+
+
+@wp.func
+def place_bits(scene: Scene, margin: wp.float64, body: int, p: vec3d) -> int:
+    """Bits that tell where a place in the frame of a face lies."""
+    faces = scene.faces
+    low = outline_low(faces, body)
+    high = outline_high(faces, body)
+    deepest = wp.max(faces.fillet_low[body], faces.fillet_high[body])
+    bits = int(0)
+    if p[2] > RIM_SLOPE * wp.max(margin, wp.float64(0.0)):
+        bits += IN_FRONT
+    if p[2] < -faces.depth[body] - deepest[0] - deepest[1]:
+        bits += BEHIND
+    if p[0] < low[0]:
+        bits += BEYOND_LOW_0
+    if p[0] > high[0]:
+        bits += BEYOND_HIGH_0
+    if p[1] < low[1]:
+        bits += BEYOND_LOW_1
+    if p[1] > high[1]:
+        bits += BEYOND_HIGH_1
+    if within(p, faces.low[body], faces.high[body]):
+        bits += OVER_FLAT
+    return bits
+
+
 @wp.kernel
 def look_at_nodes(scene: Scene, margin: wp.float64, worlds: wp.array[int]):
-    """Outward normal of each surface node, and on which sides of the bodies it lies.
-
-    The normal is the area-weighted mean of the triangles around. Each body has six bits: too far in front or behind,
-    and beyond each end of the outline. A feature whose nodes share a bit cannot touch.
-    """
+    """Outward normal of each surface node, the area-weighted mean of its triangles, and where it lies."""
     i, s = wp.tid()
     w = worlds[i]
     n = scene.surface.nodes[s]
@@ -130,43 +170,24 @@ def look_at_nodes(scene: Scene, margin: wp.float64, worlds: wp.array[int]):
     x = position(scene, w, n)
     bits = int(0)
     for body in range(wp.static(BODY_COUNT)):
-        p = to_face(scene.bodies, w, body, x)
-        low = outline_low(scene.faces, body)
-        high = outline_high(scene.faces, body)
-        round_low = scene.faces.fillet_low[body]
-        round_high = scene.faces.fillet_high[body]
-        lowest = wp.max(round_low[0], round_high[0]) + wp.max(round_low[1], round_high[1])
-        side = int(0)
-        if p[2] > RIM_SLOPE * wp.max(margin, wp.float64(0.0)):
-            side += 1
-        if p[2] < -scene.faces.depth[body] - lowest:
-            side += 2
-        if p[0] < low[0]:
-            side += 4
-        if p[0] > high[0]:
-            side += 8
-        if p[1] < low[1]:
-            side += 16
-        if p[1] > high[1]:
-            side += 32
-        bits += side << (6 * body)
-    scene.outside[w, n] = bits
+        bits += place_bits(scene, margin, body, to_face(scene.bodies, w, body, x)) << (BITS_PER_BODY * body)
+    scene.places[w, n] = bits
 
 
 @wp.func
-def shared_sides(scene: Scene, world: int, feature: int) -> int:
+def shared_places(scene: Scene, world: int, feature: int) -> int:
     """Bits that all nodes of a feature have."""
     surface = scene.surface
     node_count = surface.nodes.shape[0]
     edge_count = surface.edges.shape[0]
     if feature < node_count:
-        return scene.outside[world, surface.nodes[feature]]
+        return scene.places[world, surface.nodes[feature]]
     if feature < node_count + edge_count:
         e = feature - node_count
-        return scene.outside[world, surface.edges[e, 0]] & scene.outside[world, surface.edges[e, 1]]
+        return scene.places[world, surface.edges[e, 0]] & scene.places[world, surface.edges[e, 1]]
     t = feature - node_count - edge_count
-    both = scene.outside[world, surface.triangles[t, 0]] & scene.outside[world, surface.triangles[t, 1]]
-    return both & scene.outside[world, surface.triangles[t, 2]]
+    both = scene.places[world, surface.triangles[t, 0]] & scene.places[world, surface.triangles[t, 1]]
+    return both & scene.places[world, surface.triangles[t, 2]]
 
 
 @wp.func
@@ -186,9 +207,12 @@ def screen_features(scene: Scene, worlds: wp.array[int], near_out: wp.array3d[wp
         feature = chunk * wp.static(CHUNK) + k
         if feature >= feature_count(scene.surface):
             return
-        sides = shared_sides(scene, w, feature)
+        places = shared_places(scene, w, feature)
+        excluding = FEATURE_BITS
+        if feature < scene.surface.nodes.shape[0]:
+            excluding = NODE_BITS
         for body in range(wp.static(BODY_COUNT)):
-            if scene.bodies.enabled[w, body] != 0 and ((sides >> (6 * body)) & 63) == 0:
+            if scene.bodies.enabled[w, body] != 0 and ((places >> (BITS_PER_BODY * body)) & excluding) == 0:
                 near_out[i, body, chunk] = near_out[i, body, chunk] | (wp.uint64(1) << wp.uint64(k))
 
 
@@ -206,24 +230,18 @@ def weight_of(node: int, nodes: wp.vec3i, weights: vec3d) -> wp.float64:
 
 
 @wp.func
-def same_point(nodes_a: wp.vec3i, weights_a: vec3d, nodes_b: wp.vec3i, weights_b: vec3d) -> bool:
-    """Whether two weighted means are nearly the same."""
+def same_point(candidate: Candidate, nodes: wp.vec3i, weights: vec3d) -> bool:
+    """Whether a candidate is nearly the same weighted mean as another one."""
     for k in range(3):
-        node = nodes_a[k]
-        if wp.abs(weight_of(node, nodes_a, weights_a) - weight_of(node, nodes_b, weights_b)) > SAME_POINT:
+        node = candidate.nodes[k]
+        mine = weight_of(node, candidate.nodes, candidate.weights)
+        if wp.abs(mine - weight_of(node, nodes, weights)) > SAME_POINT:
             return False
-        node = nodes_b[k]
-        if wp.abs(weight_of(node, nodes_a, weights_a) - weight_of(node, nodes_b, weights_b)) > SAME_POINT:
+    for k in range(3):
+        mine = weight_of(nodes[k], candidate.nodes, candidate.weights)
+        if wp.abs(mine - weight_of(nodes[k], nodes, weights)) > SAME_POINT:
             return False
     return True
-
-
-@wp.func
-def within_outline(faces: Faces, body: int, p: vec3d) -> bool:
-    """Whether a place on a face lies within its outline."""
-    low = outline_low(faces, body)
-    high = outline_high(faces, body)
-    return p[0] >= low[0] and p[0] <= high[0] and p[1] >= low[1] and p[1] <= high[1]
 
 
 @wp.func
@@ -263,20 +281,24 @@ def propose(
     p = candidate.place
     h = drop(scene.faces, body, vec2d(p[0], p[1]))
     outward_here = scene.bodies.frame[world, body] * candidate.outward
-    gap = (p[2] + h[0]) / wp.sqrt(wp.float64(1.0) + h[1] * h[1] + h[2] * h[2])
-    if gap > margin or p[2] + h[0] < -scene.faces.depth[body]:
+    gap = p[2] + h[0]
+    distance = gap / wp.sqrt(wp.float64(1.0) + h[1] * h[1] + h[2] * h[2])
+    if distance > margin or gap < -scene.faces.depth[body]:
         return count
     if outward_here[0] + h[1] * outward_here[1] + h[2] * outward_here[2] >= wp.float64(0.0):
         return count
     capacity = contacts.key.shape[1]
-    for c in range(wp.min(count, capacity)):
-        if contacts.key[row, c] >= 0 and gap >= gaps[row, c] - tie:
-            if same_point(candidate.nodes, candidate.weights, contacts.nodes[row, c], contacts.weights[row, c]):
-                return count
-    for c in range(wp.min(count, capacity)):
-        if contacts.key[row, c] >= 0:
-            if same_point(candidate.nodes, candidate.weights, contacts.nodes[row, c], contacts.weights[row, c]):
-                contacts.key[row, c] = -1
+    if candidate.nodes[0] != candidate.nodes[1]:  # nodes come first, and are never the same
+        replaced = int(0)
+        for c in range(wp.min(count, capacity)):
+            if contacts.key[row, c] >= 0 and same_point(candidate, contacts.nodes[row, c], contacts.weights[row, c]):
+                if gap >= gaps[row, c] - tie:
+                    return count
+                replaced += 1
+        if replaced > 0:
+            for c in range(wp.min(count, capacity)):
+                if same_point(candidate, contacts.nodes[row, c], contacts.weights[row, c]):
+                    contacts.key[row, c] = -1
     if count < capacity:
         contacts.key[row, count] = body * scene.surface.body_key + candidate.key
         contacts.body[row, count] = body
@@ -426,8 +448,6 @@ def propose_node(
     """List a node; see propose."""
     candidate = Candidate()
     candidate.place = to_face(scene.bodies, world, body, position(scene, world, n))
-    if not within_outline(scene.faces, body, candidate.place):
-        return count
     candidate.key = n
     candidate.nodes = wp.vec3i(n, n, n)
     candidate.weights = vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0))
@@ -510,9 +530,9 @@ def propose_contacts(
     worlds: wp.array[int],  # (row,)
     # Out:
     proposed: ContactList,  # row: body + BODY_COUNT * row of worlds
-    gap_out: wp.array2d[wp.float64],  # [m]
+    gap_out: wp.array2d[wp.float64],  # along the normal of the face [m]
 ):
-    """List the candidates of each world and body with a gap below the margin, in ascending order of their keys."""
+    """List the candidates of each world and body nearer than the margin, in ascending order of their keys."""
     i, body = wp.tid()
     w = worlds[i]
     row = wp.static(BODY_COUNT) * i + body
@@ -546,7 +566,7 @@ def join_bodies(
     worlds: wp.array[int],  # (row,)
     # Out:
     found: ContactList,
-    gap_out: wp.array2d[wp.float64],  # (world, contact) [m]
+    gap_out: wp.array2d[wp.float64],  # (world, contact): along the normal of the face [m]
 ):
     """Put the candidates of all bodies of a world into one list; a count above the capacity tells to grow."""
     i = wp.tid()
@@ -568,7 +588,7 @@ def carry_forces(
     scene: Scene,
     worlds: wp.array[int],  # (row,)
     former: ContactList,
-    found_gap: wp.array2d[wp.float64],  # (world, contact) [m]
+    found_gap: wp.array2d[wp.float64],  # (world, contact): along the normal of the face [m]
     penetration: wp.float64,  # [m]
     # In and out:
     found: ContactList,
@@ -598,7 +618,7 @@ def carry_forces(
                 touch(scene, w, body, x, to_face(scene.bodies, w, body, x), found, w, c)
                 if wp.max(wp.abs(found.axis[w, c] - former.axis[w, k])) < KEPT_TILT:
                     same += 1
-        elif found_gap[w, c] < -penetration:
+        elif found.axis[w, c][0] * found_gap[w, c] < -penetration:
             missing += 1
     if same != found.count[w] or found.count[w] != former.count[w]:
         compliance_is_stale[w] = 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from threading import Lock
 
 import numpy as np
 import warp as wp
@@ -38,8 +39,13 @@ class ComplianceCache:
         self._rest = rest
         self._device = device
         self._known: dict[float, SharedCompliance] = {}
+        self._making = Lock()
 
     def __getitem__(self, step_length: float) -> SharedCompliance:
+        with self._making:
+            return self._find(step_length)
+
+    def _find(self, step_length: float) -> SharedCompliance:
         if step_length not in self._known:
             host = self._rest.compliance(step_length)
             self._known[step_length] = SharedCompliance(

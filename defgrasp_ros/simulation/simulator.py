@@ -6,35 +6,34 @@ How a step is solved is in :mod:`stepper`.
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import warp as wp
+from threadpoolctl import ThreadpoolController
 
 from defgrasp_ros.errors import NotFoundError
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.simulation import kernels_elasticity as elastic
 from defgrasp_ros.simulation import kernels_faces as faces
 from defgrasp_ros.simulation.contact_forces import ContactForces
-from defgrasp_ros.simulation.contact_set import ContactSet
-from defgrasp_ros.simulation.dense import algebra_for
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.rest_system import RestSystem
+from defgrasp_ros.simulation.shard import Shard, WorldSnapshot
 from defgrasp_ros.simulation.shared_compliance import ComplianceCache
-from defgrasp_ros.simulation.stepper import TOLERANCE, Stepper, StepReport
-from defgrasp_ros.simulation.types import mat33d, mat43d
-from defgrasp_ros.simulation.world_state import WorldState, set_entries
-
-STEP_CUT = 4
-"""Number of smaller steps that replace one that did not converge."""
-MAX_CUTS = 2
-"""How often a step may be cut before its world is given up."""
+from defgrasp_ros.simulation.stepper import TOLERANCE, StepReport
+from defgrasp_ros.simulation.types import mat33d, vec3d
+from defgrasp_ros.simulation.world_state import set_entries
 
 
 class Simulator:
     """State and time stepping of ``world_count`` copies of an object.
 
-    All vectors are in the object frame. ``worlds`` of the methods are indices, shape ``(n,)``.
+    All vectors are in the object frame. ``worlds`` of the methods are indices, shape ``(n,)``. On the CPU the worlds
+    are dealt out to one :class:`Shard` per core; world w is the entry w // n of shard w % n.
 
     Args:
         model: The object and its material.
@@ -52,21 +51,42 @@ class Simulator:
         self.gripper = gripper
         self.world_count = world_count
         self._device = find_device(device)
-        algebra = algebra_for(self._device)
+        wp.load_module(__package__, device=self._device, recursive=True)
         rest = RestSystem(model)
-        self._compliances = ComplianceCache(rest, self._device)
         self._constants = DeviceModel(model, gripper, rest.mass, self._device)
-        self._state = WorldState(world_count, self._constants.node_count, self._device)
-        self._contacts = ContactSet(self._constants, self._state, world_count, model.mesh.size, self._device, algebra)
-        self._stepper = Stepper(self._constants, self._state, self._contacts, world_count, self._device, algebra)
-        self._force_scale = np.full(world_count, model.weight)
+        compliances = ComplianceCache(rest, self._device)
+        shard_count = 1 if self._device.is_cuda else min(len(os.sched_getaffinity(0)), world_count)
+        sizes = [len(range(first, world_count, shard_count)) for first in range(shard_count)]
+        self._shards = [Shard(self._constants, compliances, size, self._device) for size in sizes]
+        self._threads = ThreadPoolExecutor(shard_count)
+        self._blas = ThreadpoolController()
+        for shard in self._shards:
+            shard.force_scale[:] = model.weight
+
+    def _parts(self, worlds: np.ndarray) -> Iterator[tuple[Shard, np.ndarray, np.ndarray]]:
+        """Yield the shards that some worlds are in, the worlds' entries there, and their places in the argument."""
+        for first, shard in enumerate(self._shards):
+            places = np.flatnonzero(worlds % len(self._shards) == first)
+            if len(places):
+                yield shard, worlds[places] // len(self._shards), places
+
+    def _collect(self, worlds: np.ndarray, read: Callable[[Shard, np.ndarray], np.ndarray]) -> np.ndarray:
+        """Return what ``read`` returns for the worlds, first axis in their order."""
+        parts = [(read(shard, entries), places) for shard, entries, places in self._parts(worlds)]
+        if not parts:
+            return read(self._shards[0], worlds)
+        result = np.empty((len(worlds), *parts[0][0].shape[1:]), dtype=parts[0][0].dtype)
+        for values, places in parts:
+            result[places] = values
+        return result
 
     # --- what the worlds contain --------------------------------------------------------------------------------
 
     def place_platform(self, worlds: np.ndarray, height: float) -> None:
         """Put the platform's surface at z = ``height`` [m]."""
-        set_entries(self._state.bodies.enabled, (worlds, faces.PLATFORM), 1)
-        set_entries(self._state.bodies.base, (worlds, faces.PLATFORM), height)
+        for shard, entries, _ in self._parts(worlds):
+            set_entries(shard.state.bodies.enabled, (entries, faces.PLATFORM), 1)
+            set_entries(shard.state.bodies.base, (entries, faces.PLATFORM), height)
 
     def place_gripper(
         self, worlds: np.ndarray, grasps: list[Grasp], opening: np.ndarray, full_force: np.ndarray
@@ -79,44 +99,66 @@ class Simulator:
             opening: Distance of each pad face from the grasp frame's origin [m], shape ``(n,)``.
             full_force: Closing force with which free fingers move at the gripper's closing speed [N], shape ``(n,)``.
         """
-        state, bodies = self._state, self._state.bodies
         rotation = np.array([g.rotation for g in grasps])
         origin = np.array([g.position for g in grasps])
         x, y, z = rotation[:, :, 0], rotation[:, :, 1], rotation[:, :, 2]
         placed = [(faces.LEFT_PAD, (-y, x, z), 0.0), (faces.RIGHT_PAD, (y, x, z), 0.0)]
         if self.gripper.palm:
             placed.append((faces.PALM, (z, x, y), self.gripper.palm.face))
-        for body, frame, height in placed:
-            set_entries(bodies.enabled, (worlds, body), 1)
-            set_entries(bodies.frame, (worlds, body), np.stack(frame, axis=1))
-            set_entries(bodies.base, (worlds, body), np.einsum("ij,ij->i", frame[0], origin) + height)
-        set_entries(bodies.origin, worlds, origin)
-        set_entries(bodies.opening, worlds, opening)
-        set_entries(state.start_opening, worlds, opening)
-        set_entries(state.finger_damping, worlds, full_force / self.gripper.closing_speed)
-        set_entries(state.closing_force, worlds, 0.0)
-        self._force_scale[worlds] = np.maximum(full_force, self.model.weight)
+        for shard, entries, places in self._parts(worlds):
+            state, bodies = shard.state, shard.state.bodies
+            for body, frame, height in placed:
+                base = np.einsum("ij,ij->i", frame[0], origin) + height
+                set_entries(bodies.enabled, (entries, body), 1)
+                set_entries(bodies.frame, (entries, body), np.stack(frame, axis=1)[places])
+                set_entries(bodies.base, (entries, body), base[places])
+            set_entries(bodies.origin, entries, origin[places])
+            set_entries(bodies.opening, entries, opening[places])
+            set_entries(state.start_opening, entries, opening[places])
+            set_entries(state.finger_damping, entries, full_force[places] / self.gripper.closing_speed)
+            set_entries(state.closing_force, entries, 0.0)
+            shard.force_scale[entries] = np.maximum(full_force[places], self.model.weight)
 
     def set_gravity(self, worlds: np.ndarray, gravity: np.ndarray) -> None:
-        """Set the gravity vector [m/s^2]."""
-        set_entries(self._state.gravity, worlds, gravity)
+        """Set the gravity vector [m/s^2], shape ``(3,)`` or ``(n, 3)``."""
+        gravity = np.broadcast_to(gravity, (len(worlds), 3))
+        for shard, entries, places in self._parts(worlds):
+            set_entries(shard.state.gravity, entries, gravity[places])
 
     def set_displacement(self, worlds: np.ndarray, displacement: np.ndarray) -> None:
-        """Put the nodes at rest position + displacement [m], without velocity."""
-        set_entries(self._state.displacement, worlds, displacement)
-        set_entries(self._state.start_displacement, worlds, displacement)
-        set_entries(self._state.start_velocity, worlds, 0.0)
+        """Put the nodes at rest position + displacement [m], shape ``(node, 3)`` or ``(n, node, 3)``; no velocity."""
+        displacement = np.broadcast_to(displacement, (len(worlds), self._constants.node_count, 3))
+        for shard, entries, places in self._parts(worlds):
+            set_entries(shard.state.displacement, entries, displacement[places])
+            set_entries(shard.state.start_displacement, entries, displacement[places])
+            set_entries(shard.state.start_velocity, entries, 0.0)
 
     def set_velocity(self, worlds: np.ndarray, velocity: np.ndarray) -> None:
-        """Give all nodes a velocity [m/s]."""
-        set_entries(self._state.start_velocity, worlds, velocity)
+        """Give the nodes a velocity [m/s], shape ``(3,)``, ``(node, 3)`` or ``(n, node, 3)``."""
+        velocity = np.broadcast_to(velocity, (len(worlds), self._constants.node_count, 3))
+        for shard, entries, places in self._parts(worlds):
+            set_entries(shard.state.start_velocity, entries, velocity[places])
 
-    def copy_world(self, source: int, worlds: np.ndarray) -> None:
-        """Give some worlds the motion and the contacts of another."""
-        state = self._state
-        for array in (state.displacement, state.start_displacement, state.start_velocity, state.rotation):
-            set_entries(array, worlds, array.numpy()[source])
-        self._contacts.copy_world(source, worlds)
+    def freeze_fingers(self, worlds: np.ndarray) -> None:
+        """Hold the fingers where they are, whatever force that takes; ``place_gripper`` frees them."""
+        for shard, entries, _ in self._parts(worlds):
+            set_entries(shard.state.finger_damping, entries, np.inf)
+
+    def remove_platform(self, worlds: np.ndarray) -> None:
+        """Take the platform away."""
+        for shard, entries, _ in self._parts(worlds):
+            set_entries(shard.state.bodies.enabled, (entries, faces.PLATFORM), 0)
+
+    def save(self, world: int) -> WorldSnapshot:
+        """Return all that is known about a world: motion, contacts, bodies, gravity."""
+        ((shard, (entry,), _),) = self._parts(np.array([world]))
+        return shard.snapshot(entry)
+
+    def load(self, worlds: np.ndarray, snapshots: Sequence[WorldSnapshot]) -> None:
+        """Make each world what was saved in the snapshot at its place."""
+        for shard, entries, places in self._parts(worlds):
+            for entry, place in zip(entries, places, strict=True):
+                shard.restore(entry, snapshots[place])
 
     # --- stepping -----------------------------------------------------------------------------------------------
 
@@ -140,129 +182,114 @@ class Simulator:
             platform_height: At the end of the step [m], shape ``(n,)``.
             quasi_static: Whether the velocity is forgotten after the step, so that only mass / h^2 resists.
         """
-        state = self._state
-        start_force = state.closing_force.numpy()[worlds].copy()
-        start_height = state.platform_heights(worlds)
 
-        def advance(some: np.ndarray, pieces: int, piece: int) -> StepReport:
-            """Take one of several equal pieces of the step."""
-            share = piece / pieces
-            set_entries(
-                state.closing_force, worlds[some], start_force[some] + share * (closing_force - start_force)[some]
-            )
-            heights = start_height[some] + share * (platform_height - start_height)[some]
-            set_entries(state.bodies.base, (worlds[some], faces.PLATFORM), heights)
-            compliance = self._compliances[step_length / pieces]
-            scale = self._force_scale[worlds[some]]
-            return self._stepper.step(worlds[some], compliance, scale, quasi_static=quasi_static)
+        def advance(part: tuple[Shard, np.ndarray, np.ndarray]) -> StepReport:
+            shard, entries, places = part
+            force, height = closing_force[places], platform_height[places]
+            return shard.step(entries, step_length, force, height, quasi_static=quasi_static)
 
-        report = advance(np.arange(len(worlds)), 1, 1)
-        for cut in range(1, MAX_CUTS + 1):
-            failed = np.flatnonzero(~report.converged)
-            if not len(failed):
-                break
-            self._advance_in_pieces(worlds, failed, cut, advance, report)
-        bad = ~report.converged
-        set_entries(state.closing_force, worlds[bad], start_force[bad])
-        set_entries(state.bodies.base, (worlds[bad], faces.PLATFORM), start_height[bad])
+        parts = list(self._parts(worlds))
+        # BLAS threads of their own would fight with the shards' threads, and with whatever else runs.
+        with self._blas.limit(limits=1, user_api="blas"):
+            reports = list(self._threads.map(advance, parts))
+        report = StepReport.empty(len(worlds))
+        for part, (_, _, places) in zip(reports, parts, strict=True):
+            report.put(places, part)
         return report
-
-    def _advance_in_pieces(self, worlds: np.ndarray, failed: np.ndarray, cut: int, advance, report: StepReport) -> None:
-        """Repeat a step in smaller ones where it failed; a world that fails again goes back to where it began."""
-        pieces = STEP_CUT**cut
-        before = [array.numpy()[worlds[failed]].copy() for array in self._state.motion]
-        report.cuts[failed] = cut
-        report.residual[failed] = 0.0
-        report.converged[failed] = True
-        for piece in range(1, pieces + 1):
-            good = failed[report.converged[failed]]
-            if not len(good):
-                break
-            part = advance(good, pieces, piece)
-            report.converged[good] = part.converged
-            report.iterations[good] += part.iterations
-            report.contact_fallbacks[good] += part.contact_fallbacks
-            report.residual[good] = np.maximum(report.residual[good], part.residual)
-        lost = ~report.converged[failed]
-        for array, values in zip(self._state.motion, before, strict=True):
-            set_entries(array, worlds[failed[lost]], values[lost])
 
     # --- what can be seen ---------------------------------------------------------------------------------------
 
     def positions(self, worlds: np.ndarray) -> np.ndarray:
         """Nodes [m], shape ``(n, node, 3)``."""
-        return self.model.mesh.vertices + self._state.start_displacement.numpy()[worlds]
+        displacement = self._collect(worlds, lambda shard, entries: shard.state.start_displacement.numpy()[entries])
+        return self.model.mesh.vertices + displacement
 
     def velocities(self, worlds: np.ndarray) -> np.ndarray:
         """Nodal velocities [m/s], shape ``(n, node, 3)``; zero after a quasi-static step."""
-        return self._state.start_velocity.numpy()[worlds]
+        return self._collect(worlds, lambda shard, entries: shard.state.start_velocity.numpy()[entries])
 
     def openings(self, worlds: np.ndarray) -> np.ndarray:
         """Distance of each pad face from the grasp frame's origin [m], shape ``(n,)``."""
-        return self._state.start_opening.numpy()[worlds]
+        return self._collect(worlds, lambda shard, entries: shard.state.start_opening.numpy()[entries])
 
     def opening_velocities(self, worlds: np.ndarray) -> np.ndarray:
         """Rate of the opening that the finger law gives for the present forces [m/s], shape ``(n,)``."""
         pads = self.normal_forces(worlds)[:, : faces.PLATFORM].sum(axis=1)
-        return (pads - self._state.closing_force.numpy()[worlds]) / self._state.finger_damping.numpy()[worlds]
+        force = self._collect(worlds, lambda shard, entries: shard.state.closing_force.numpy()[entries])
+        damping = self._collect(worlds, lambda shard, entries: shard.state.finger_damping.numpy()[entries])
+        return (pads - force) / damping
 
     def pad_gaps(self, worlds: np.ndarray) -> np.ndarray:
         """How far each pad can close before it touches the surface [m], shape ``(n, 2)``; inf where it never does."""
-        rows = wp.array(worlds, dtype=int, device=self._device)
-        return self._contacts.pad_gaps(rows, reach=2.0 * self.gripper.max_opening)
+        reach = 2.0 * self.gripper.max_opening
+        return self._collect(worlds, lambda shard, entries: shard.contacts.pad_gaps(self._rows(entries), reach))
 
     def stresses(self, worlds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Stress tensors in the elements' frames [Pa], ``(n, tet, 3, 3)``, and strain energies [J], ``(n, tet)``."""
-        model, shape = self._constants, (len(worlds), self._constants.tet_count)
-        stress = wp.zeros(shape, dtype=mat33d, device=self._device)
-        density = wp.zeros(shape, dtype=wp.float64, device=self._device)
-        rows = wp.array(worlds, dtype=int, device=self._device)
-        inputs = [model.tetrahedra, model.gradients, model.lame, rows, self._state.start_displacement]
-        wp.launch(elastic.element_stress, dim=shape, inputs=inputs, outputs=[stress, density], device=self._device)
-        return stress.numpy(), density.numpy() * self.model.mesh.volumes
+        """Mean stress of each element [Pa], ``(n, tet, 3, 3)``, and strain energies [J], ``(n, tet)``.
+
+        The mean of ``point_stresses``, so in the frame that turns with the material.
+        """
+        stress, energy = self.point_stresses(worlds)
+        return stress.mean(axis=2), energy
+
+    def point_stresses(self, worlds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Stress at each quadrature point [Pa], ``(n, tet, point, 3, 3)``, and strain energies [J], ``(n, tet)``.
+
+        One point in an element of order 1, four in one of order 2. The tensors are in the points' rotated frames: they
+        turn with the material.
+        """
+        model, count = self._constants, len(worlds)
+        stress = wp.zeros((count, model.tet_count * model.point_count), dtype=mat33d, device=self._device)
+        density = wp.zeros((count, model.tet_count), dtype=wp.float64, device=self._device)
+        inputs = [model.elements, model.gradients, model.lame, *self._displacement_rows(worlds)]
+        wp.launch(
+            model.kernels.stresses, dim=density.shape, inputs=inputs, outputs=[stress, density], device=self._device
+        )
+        tensors = stress.numpy().reshape(count, model.tet_count, model.point_count, 3, 3)
+        return tensors, density.numpy() * self.model.mesh.volumes
 
     def elastic_forces(self, worlds: np.ndarray) -> np.ndarray:
         """Elastic force on each node [N], shape ``(n, node, 3)``."""
-        model, shape = self._constants, (len(worlds), self._constants.tet_count)
-        rotation = wp.zeros(shape, dtype=mat33d, device=self._device)
-        force = wp.zeros(shape, dtype=mat43d, device=self._device)
-        rows = wp.array(worlds, dtype=int, device=self._device)
-        inputs = [model.tetrahedra, model.gradients, model.volumes, model.lame, rows, self._state.start_displacement]
-        wp.launch(elastic.element_forces, dim=shape, inputs=inputs, outputs=[rotation, force], device=self._device)
-        total = np.zeros((len(worlds), model.node_count, 3))
-        for row, corners in enumerate(force.numpy()):
-            np.add.at(total[row], self.model.mesh.tetrahedra, corners)
+        model, count = self._constants, len(worlds)
+        rotation = wp.zeros((count, model.tet_count), dtype=mat33d, device=self._device)
+        force = wp.zeros((count, model.entry_count), dtype=vec3d, device=self._device)
+        inputs = [model.elements, model.gradients, model.volumes, model.lame, *self._displacement_rows(worlds)]
+        wp.launch(
+            model.kernels.forces, dim=rotation.shape, inputs=inputs, outputs=[rotation, force], device=self._device
+        )
+        total = np.zeros((count, model.node_count, 3))
+        for row, entries in enumerate(force.numpy()):
+            np.add.at(total[row], self.model.mesh.elements.ravel(), entries)
         return total
+
+    def _displacement_rows(self, worlds: np.ndarray) -> tuple[wp.array, wp.array]:
+        """Rows and displacements of some worlds for the element kernels."""
+        displacement = self.positions(worlds) - self.model.mesh.vertices
+        return self._rows(np.arange(len(worlds))), wp.array(displacement, dtype=vec3d, device=self._device)
 
     def normal_forces(self, worlds: np.ndarray) -> np.ndarray:
         """Force of left pad, right pad, platform and palm along their faces' normals [N], shape ``(n, 4)``.
 
         The sum of both pads is what balances the closing force.
         """
-        return self._contacts.normal_forces(worlds)
+        return self._collect(worlds, lambda shard, entries: shard.contacts.normal_forces(entries))
+
+    def sliding(self, worlds: np.ndarray) -> np.ndarray:
+        """Whether each pad touches and all of its loaded points have used up their friction, shape ``(n, 2)``."""
+        return self._collect(worlds, lambda shard, entries: shard.contacts.sliding(entries))
 
     def contact_forces(self, worlds: np.ndarray) -> list[ContactForces]:
         """The contact points that carry more force than the solver's tolerance, per world."""
-        lists = self._contacts.lists
-        count, body = lists.count.numpy(), lists.body.numpy()
-        nodes, weights, force = lists.nodes.numpy(), lists.weights.numpy(), lists.force.numpy()
-        frames = lists.frame.numpy()
-        result = []
-        for w, positions in zip(worlds, self.positions(worlds), strict=True):
-            loaded = np.flatnonzero(force[w, : count[w], 0] > TOLERANCE * self._force_scale[w])
-            frame = frames[w, loaded]
-            result.append(
-                ContactForces(
-                    body=body[w, loaded],
-                    positions=np.einsum("ck,ckj->cj", weights[w, loaded], positions[nodes[w, loaded]]),
-                    normals=frame[:, 0],
-                    forces=np.einsum("cij,ci->cj", frame, force[w, loaded]),
-                    nodes=nodes[w, loaded],
-                    weights=weights[w, loaded],
-                    friction=self.model.material.friction_coefficient,
-                )
-            )
-        return result
+        result: dict[int, ContactForces] = {}
+        for shard, entries, places in self._parts(worlds):
+            positions = self.positions(worlds[places])
+            for entry, place, nodes in zip(entries, places, positions, strict=True):
+                threshold = TOLERANCE * shard.force_scale[entry]
+                result[place] = shard.contacts.loaded(entry, nodes, threshold)
+        return [result[place] for place in range(len(worlds))]
+
+    def _rows(self, entries: np.ndarray) -> wp.array:
+        return wp.array(entries, dtype=int, device=self._device)
 
 
 def find_device(name: str) -> wp.Device:

@@ -17,7 +17,7 @@ the nodes and that of the contacts, are below ``TOLERANCE`` of the world's force
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import warp as wp
@@ -26,10 +26,10 @@ from defgrasp_ros.simulation import kernels_contact as contact
 from defgrasp_ros.simulation import kernels_elasticity as elastic
 from defgrasp_ros.simulation.anderson import Anderson
 from defgrasp_ros.simulation.contact_set import ContactSet
-from defgrasp_ros.simulation.dense import DeviceAlgebra, HostAlgebra
+from defgrasp_ros.simulation.dense import multiply_rows
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
-from defgrasp_ros.simulation.types import mat33d, mat43d, vec3d
+from defgrasp_ros.simulation.types import mat33d, vec3d
 from defgrasp_ros.simulation.world_state import WorldState, set_entries
 
 wp.set_module_options({"enable_backward": False})
@@ -42,6 +42,8 @@ CONTACT_REDUCTION = 1e-3
 """Early iterations need no better contact forces than this fraction of their residual [-]."""
 MAX_ITERATIONS = 40
 """Iterations after which a step is given up."""
+MAX_STALLED = 8
+"""Iterations in a row that do not reduce the residual after which a step is given up."""
 RESTART_GROWTH = 2.0
 """Growth of the residual in an iteration at which the acceleration starts anew [-]."""
 MAX_SEARCHES = 5
@@ -72,6 +74,11 @@ class StepReport:
             contact_fallbacks=np.zeros(count, dtype=int),
         )
 
+    def put(self, places: np.ndarray, part: StepReport) -> None:
+        """Take over the report of some of the worlds."""
+        for field in fields(self):
+            getattr(self, field.name)[places] = getattr(part, field.name)
+
 
 class Stepper:
     """Work buffers and the iteration."""
@@ -83,19 +90,17 @@ class Stepper:
         contacts: ContactSet,
         world_count: int,
         device: wp.Device,
-        algebra: HostAlgebra | DeviceAlgebra,
     ):
         self._model = model
         self._state = state
         self._contacts = contacts
         self._device = device
-        self._algebra = algebra
 
         def zeros(columns: int, dtype) -> wp.array:
             return wp.zeros((world_count, columns), dtype=dtype, device=device)
 
         self._element_rotation = zeros(model.tet_count, mat33d)
-        self._element_force = zeros(model.tet_count, mat43d)
+        self._element_force = zeros(model.entry_count, vec3d)
         self._node_rotation = zeros(model.node_count, mat33d)
         self._start_rotation = zeros(model.node_count, mat33d)
         self._residual, self._correction, self._turned, self._product = (
@@ -131,13 +136,16 @@ class Stepper:
 
         self._forget(worlds)
         active = np.arange(count)
-        last_residual = np.full(count, np.inf)
+        last_residual, best_residual = np.full(count, np.inf), np.full(count, np.inf)
+        stalled = np.zeros(count, dtype=int)
         searches = np.zeros(count, dtype=int)
         for iteration in range(MAX_ITERATIONS + 1):
             rows = self._rows(worlds[active])
             residual = self._evaluate_residual(rows, shared) / force_scale[active]
             report.residual[active] = residual
-            goes_on = np.isfinite(residual)
+            stalled[active] = np.where(residual < best_residual[active], 0, stalled[active] + 1)
+            best_residual[active] = np.fmin(best_residual[active], residual)
+            goes_on = np.isfinite(residual) & (stalled[active] <= MAX_STALLED)
             solved = residual < TOLERANCE
             if solved.any():
                 incomplete = self._overlooked_contacts(worlds, active, solved, searches)
@@ -182,16 +190,24 @@ class Stepper:
         """Leave the nodal residual in its buffer; return the worse of nodal and contact residual [N]."""
         model, state, count = self._model, self._state, rows.shape[0]
         self._launch(
-            elastic.element_forces,
+            model.kernels.forces,
             (count, model.tet_count),
-            [model.tetrahedra, model.gradients, model.volumes, model.lame, rows, state.displacement],
+            [model.elements, model.gradients, model.volumes, model.lame, rows, state.displacement],
             [self._element_rotation, self._element_force],
+        )
+        nodes, acceleration = (count, model.node_count), self._product
+        self._launch(
+            elastic.missing_acceleration,
+            nodes,
+            [shared.step_length, rows, state.gravity, state.start_displacement, state.start_velocity]
+            + [state.displacement],
+            [acceleration],
         )
         self._launch(
             elastic.dynamic_residual,
-            (count, model.node_count),
-            [model.incidence_start, model.incidence_tet, model.incidence_corner, model.mass, shared.step_length, rows]
-            + [state.gravity, state.start_displacement, state.start_velocity, state.displacement, self._element_force],
+            nodes,
+            [model.incidence_start, model.incidence_entry, model.mass_start, model.mass_node, model.mass]
+            + [acceleration, self._element_force],
             [self._residual],
         )
         self._refresh_rotations(rows, shared)
@@ -232,7 +248,7 @@ class Stepper:
             wp.array(ptr=a.ptr, dtype=wp.float64, shape=(nodes[0], 3 * nodes[1]), device=self._device)
             for a in (self._turned, self._product)
         )
-        self._algebra.multiply_rows(turned, shared.matrix, product)
+        multiply_rows(turned, shared.matrix, product)
         self._launch(elastic.rotate, nodes, [rows, rotation, self._product], [self._correction])
 
     def _move_fingers(self, rows: wp.array, h: float) -> None:

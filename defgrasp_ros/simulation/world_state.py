@@ -54,6 +54,22 @@ class WorldState:
         """The arrays that say where a world is at the start of a step."""
         return self.start_displacement, self.start_velocity, self.start_opening
 
+    def snapshot(self, world: int) -> list[np.ndarray]:
+        """Return what is known about a world, on the host."""
+        return [array.numpy()[world].copy() for array in self._arrays]
+
+    def restore(self, world: int, snapshot: list[np.ndarray]) -> None:
+        """Give a world what was known about another."""
+        for array, values in zip(self._arrays, snapshot, strict=True):
+            set_entries(array, world, values)
+
+    @property
+    def _arrays(self) -> list[wp.array]:
+        nodal = [self.displacement, self.start_displacement, self.start_velocity, self.rotation]
+        hand = [self.finger_damping, self.closing_force, self.start_opening]
+        bodies = [self.bodies.enabled, self.bodies.frame, self.bodies.base, self.bodies.origin, self.bodies.opening]
+        return [*nodal, self.gravity, *hand, *bodies]
+
     def platform_heights(self, worlds: np.ndarray) -> np.ndarray:
         """Height of the platform's surface [m], shape ``(n,)``."""
         return self.bodies.base.numpy()[worlds, PLATFORM].copy()

@@ -1,0 +1,171 @@
+"""A batch of grasps on their way through the experiments: who takes part, stepping, and what observers are told."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from defgrasp_ros.errors import ResultCode
+from defgrasp_ros.evaluation import (
+    FINGER_NAMES,
+    EvaluationObserver,
+    EvaluationOptions,
+    Experiment,
+    GraspEvaluation,
+    GraspSample,
+    Phase,
+    Progress,
+)
+from defgrasp_ros.experiments.candidate import Candidate
+from defgrasp_ros.experiments.settling import SettledObject
+from defgrasp_ros.grasp import Grasp
+from defgrasp_ros.simulation.simulator import Simulator
+from defgrasp_ros.simulation.stepper import StepReport
+
+STILL_CHANGE = 1e-5
+"""Motion in a quasi-static step, relative to the object's size, at which an object is still under its load [-]."""
+REST_CHANGE = 1e-6
+"""The same at which it rests [-]: metrics are measured there."""
+FORCE_TOLERANCE = 1e-4
+"""Largest deviation of the pads' normal forces from the target at which it counts as reached [-]."""
+WORK_SHARE = {
+    Experiment.PICKUP: 1.0,
+    Experiment.REORIENTATION: 2.0,
+    Experiment.LINEAR_ACCELERATION: 1.0,
+    Experiment.ANGULAR_ACCELERATION: 6.0,
+    Experiment.SQUEEZE: 1.0,
+}
+"""Rough work of the experiments relative to each other, in the order in which they are done [-]."""
+
+
+class GraspBatch:
+    """Grasps that are simulated together; candidate i is in world i during the pickup.
+
+    Args:
+        simulator: With at least one world per grasp.
+        settled: The object on the platform.
+        grasps: By index in the whole evaluation.
+        options: Constants of the protocol.
+        observer: Is told what happens.
+        total: Number of grasps in the whole evaluation.
+        start_time: Simulated time so far [s].
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        settled: SettledObject,
+        grasps: dict[int, Grasp],
+        options: EvaluationOptions,
+        observer: EvaluationObserver,
+        total: int,
+        start_time: float,
+    ):
+        self.simulator = simulator
+        self.settled = settled
+        self.model = simulator.model
+        self.gripper = simulator.gripper
+        self.options = options
+        self.observer = observer
+        self.total = total
+        self.time = start_time
+        self._started = time.monotonic()
+        self._stopped = False
+        self._next_sample = start_time
+        default_force = self.model.default_target_force(options.force_safety_factor)
+        self.candidates = []
+        for index, grasp in grasps.items():
+            target = default_force if grasp.target_force is None else grasp.target_force
+            evaluation = GraspEvaluation(index, grasp.id or str(index), target_force=target)
+            self.candidates.append(Candidate(settled.follow(grasp), target, evaluation, settled.platform_height))
+
+    def asks_for(self, *experiments: Experiment) -> bool:
+        """Whether one of these experiments is to be done."""
+        return not self.options.experiments.isdisjoint(experiments)
+
+    def of(self, worlds: np.ndarray) -> list[Candidate]:
+        """Return the candidates in these worlds of the pickup."""
+        return [self.candidates[w] for w in worlds]
+
+    def targets(self, worlds: np.ndarray) -> np.ndarray:
+        """Target forces [N], shape ``(n,)``."""
+        return np.array([candidate.target_force for candidate in self.of(worlds)])
+
+    def step(self, worlds: np.ndarray, h: float, closing_force: np.ndarray, *, quasi_static: bool) -> None:
+        """Advance some worlds of the pickup; one that finds no solution is finished with the reason."""
+        heights = np.array([candidate.platform_height for candidate in self.of(worlds)])
+        report = self.simulator.step(worlds, h, closing_force, heights, quasi_static=quasi_static)
+        for row, candidate in enumerate(self.of(worlds)):
+            candidate.time += h
+            candidate.count_step(report, row)
+            if not report.converged[row]:
+                self.finish(candidate, ResultCode.SOLVER_DIVERGED, no_solution(report, row, self.time))
+
+    def finish(self, candidate: Candidate, code: ResultCode, message: str) -> None:
+        """End a candidate's pickup; it is reported at once where nothing follows."""
+        candidate.end(code, message)
+        if code != ResultCode.OK or self.options.experiments == {Experiment.PICKUP}:
+            self.report(candidate)
+
+    def report(self, candidate: Candidate) -> None:
+        """Tell the observer that all is known about a candidate."""
+        candidate.evaluation.simulated_time = self.settled.duration + candidate.time
+        candidate.evaluation.wall_time = time.monotonic() - self._started
+        candidate.reported = True
+        self.observer.on_evaluation(candidate.evaluation)
+
+    def canceled(self) -> bool:
+        """Whether the run should end now."""
+        self._stopped = self._stopped or self.observer.should_stop()
+        return self._stopped
+
+    def progress(self, experiment: Experiment, phase: Phase, fraction: float, active: int) -> None:
+        """Say how far the batch is, ``fraction`` in [0, 1] of one of its experiments."""
+        done = self.candidates[0].evaluation.grasp_index
+        asked = [e for e in WORK_SHARE if e in self.options.experiments]
+        before = sum(WORK_SHARE[e] for e in asked[: asked.index(experiment)])
+        within = (before + fraction * WORK_SHARE[experiment]) / sum(WORK_SHARE[e] for e in asked)
+        overall = (done + within * len(self.candidates)) / self.total
+        self.observer.on_progress(Progress(phase, overall, self.time, active, self.total))
+
+    def sample(self, worlds: np.ndarray, closing_force: np.ndarray) -> None:
+        """Show the observer the state of the worlds that go on, once per sample interval."""
+        if self.time < self._next_sample:
+            return
+        self._next_sample = self.time + self.observer.sample_interval
+        openings = self.simulator.openings(worlds)
+        velocities = self.simulator.opening_velocities(worlds)
+        forces = self.simulator.contact_forces(worlds)
+        for row, candidate in enumerate(self.of(worlds)):
+            if candidate.finished:
+                continue
+            self.observer.on_sample(
+                GraspSample(
+                    candidate.evaluation.grasp_index,
+                    candidate.evaluation.grasp_id,
+                    candidate.phase,
+                    self.time,
+                    float(openings[row]),
+                    float(velocities[row]),
+                    float(closing_force[row]),
+                    forces[row].fingers(),
+                    forces[row].normal_force(len(FINGER_NAMES)),
+                )
+            )
+
+
+def no_solution(report: StepReport, row: int, now: float) -> str:
+    """Return the text for a world whose step found no solution."""
+    return f"no solution of the time step at {now:.3f} s: residual {report.residual[row]:.2g} of the force scale"
+
+
+def largest_motion(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Largest nodal displacement between two shapes [m], shape ``(n,)``, of arrays ``(n, node, 3)``."""
+    return np.linalg.norm(after - before, axis=2).max(axis=1, initial=0.0)
+
+
+def chunks(items: Sequence, size: int) -> list[Sequence]:
+    """Cut a sequence into pieces of at most ``size`` entries."""
+    return [items[first : first + size] for first in range(0, len(items), size)]

@@ -1,0 +1,93 @@
+"""The whole protocol: the object settles, every grasp is tried in the experiments that were asked for.
+
+Grasp poses are relative to the object: they follow the small rigid motion with which it settles on the platform.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from defgrasp_ros.errors import EmptyGraspListError
+from defgrasp_ros.evaluation import EvaluationObserver, EvaluationOptions, Experiment, GraspEvaluation, Phase, Progress
+from defgrasp_ros.experiments.acceleration import ANGULAR, LINEAR, AccelerationTest, frozen_without_gravity
+from defgrasp_ros.experiments.batch import GraspBatch, chunks
+from defgrasp_ros.experiments.directions import DIRECTION_COUNT
+from defgrasp_ros.experiments.pickup import Pickup
+from defgrasp_ros.experiments.reorientation import Reorientation
+from defgrasp_ros.experiments.settling import settle
+from defgrasp_ros.experiments.squeeze import FreeSqueeze
+from defgrasp_ros.grasp import Grasp
+from defgrasp_ros.gripper import Gripper
+from defgrasp_ros.object_model import ObjectModel
+from defgrasp_ros.simulation.simulator import Simulator
+
+MAX_BATCH = 64
+"""Grasps simulated together; more run in further batches, which bounds the memory."""
+MAX_WORLDS = 256
+"""Worlds simulated together in the experiments with 16 directions per grasp."""
+
+
+def evaluate_grasps(
+    object_model: ObjectModel,
+    grasps: Sequence[Grasp],
+    gripper: Gripper,
+    options: EvaluationOptions,
+    device: str = "cpu",
+    observer: EvaluationObserver | None = None,
+) -> list[GraspEvaluation]:
+    """Run the experiments of ``options.experiments`` for every grasp.
+
+    Args:
+        object_model: Object at rest in its frame, z up; it is put on a platform at its lowest point.
+        grasps: Candidate poses in the object frame.
+        gripper: Pads, stroke and limits.
+        options: What to do, and the constants of the protocol.
+        device: Warp device, ``"cpu"`` or ``"cuda:0"``.
+        observer: Is told about progress, samples and results while the simulation runs.
+
+    Returns:
+        One evaluation per grasp, in their order. What went wrong with a grasp is in its code and message.
+
+    Raises:
+        EmptyGraspListError: If there is no grasp.
+        NotFoundError: If there is no such device.
+        InvalidMeshError: If the mesh has no usable stiffness.
+        SolverDivergedError: If the object alone finds no rest on the platform.
+    """
+    if not grasps:
+        raise EmptyGraspListError("grasps is empty: give at least one grasp")
+    observer = observer or EvaluationObserver()
+    batches = chunks(range(len(grasps)), MAX_BATCH)
+    world_count = len(batches[0])
+    if options.experiments - {Experiment.PICKUP, Experiment.SQUEEZE}:
+        world_count = min(MAX_WORLDS, DIRECTION_COUNT * world_count)
+    simulator = Simulator(object_model, gripper, world_count, device)
+    observer.on_progress(Progress(Phase.SETTLE, 0.0, 0.0, len(grasps), len(grasps)))
+    settled = settle(simulator, 0, options.time_step)
+    evaluations: list[GraspEvaluation] = []
+    start = settled.duration
+    for indices in batches:
+        chosen = {index: grasps[index] for index in indices}
+        batch = GraspBatch(simulator, settled, chosen, options, observer, len(grasps), start)
+        evaluations += _run(batch)
+        start = batch.time
+    observer.on_progress(Progress(Phase.DONE, 1.0, start, 0, len(grasps)))
+    return evaluations
+
+
+def _run(batch: GraspBatch) -> list[GraspEvaluation]:
+    """Do the experiments one after the other, each for all grasps that can."""
+    Pickup(batch).run()
+    if batch.asks_for(Experiment.REORIENTATION):
+        Reorientation(batch).run()
+    if batch.asks_for(Experiment.LINEAR_ACCELERATION, Experiment.ANGULAR_ACCELERATION):
+        frozen = frozen_without_gravity(batch)
+        for kind in (LINEAR, ANGULAR):
+            if batch.asks_for(kind.experiment):
+                AccelerationTest(batch, kind, frozen).run()
+    if batch.asks_for(Experiment.SQUEEZE):
+        FreeSqueeze(batch).run()
+    for candidate in batch.candidates:
+        if not candidate.reported:
+            batch.report(candidate)
+    return [candidate.evaluation for candidate in batch.candidates]
