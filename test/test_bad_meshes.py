@@ -179,7 +179,8 @@ def inverted():
 
 def with_small_hole():
     ball = trimesh.creation.icosphere(subdivisions=4, radius=SIZE / 2.0)
-    return trimesh.Trimesh(ball.vertices, ball.faces[2:], process=False)
+    near_the_top = ball.triangles_center[:, 2] > 0.9985 * SIZE / 2.0
+    return trimesh.Trimesh(ball.vertices, ball.faces[~near_the_top], process=False)
 
 
 def with_degenerate_triangles():

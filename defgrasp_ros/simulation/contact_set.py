@@ -282,11 +282,6 @@ class ContactSet:
         count, body = self.lists.count.numpy()[worlds], self.lists.body.numpy()[worlds]
         force = np.einsum("ncj,ncj->nc", self.lists.axis.numpy()[worlds], self.lists.force.numpy()[worlds])
         listed = np.arange(self.capacity) < count[:, None]
-<<<<<<< HEAD
-        return np.stack(
-            [np.where(listed & (body == b), force, 0.0).sum(axis=1) for b in range(faces.BODY_COUNT)], axis=1
-        )
-=======
         bodies = range(faces.BODY_COUNT)
         return np.stack([np.where(listed & (body == b), force, 0.0).sum(axis=1) for b in bodies], axis=1)
 
@@ -317,7 +312,6 @@ class ContactSet:
         pads = (faces.LEFT_PAD, faces.RIGHT_PAD)
         mine = [body == pad for pad in pads]
         return np.stack([(loaded & m).any(axis=1) & ~(holding & m).any(axis=1) for m in mine], axis=1)
->>>>>>> main
 
     def _scatter(self, rows: wp.array, nodal_force: wp.array) -> None:
         inputs = [self.lists, rows, self._force, nodal_force]
