@@ -151,8 +151,12 @@ class AccelerationTest:
             last = acceleration
             acceleration = min(last + self.jerk * self.h, self.limit)
             velocity += self.h * acceleration
-            self.kind.apply(self.simulator, worlds[active], directions[active], centres[active], acceleration, velocity)
-            report = self.simulator.step(worlds[active], self.h, forces[active], heights[active], quasi_static=False)
+            self.kind.apply(
+                self.simulator, worlds[active], directions[active], centres[active], acceleration, velocity
+            )
+            report = self.simulator.step(
+                worlds[active], self.h, forces[active], heights[active], quasi_static=False
+            )
             self.batch.time += self.h
             now = self.simulator.normal_forces(worlds[active])[:, :2]
             sliding = self.simulator.sliding(worlds[active]).all(axis=1)

@@ -223,7 +223,9 @@ class Pickup:
             goes_on = np.array([not self.batch.candidates[w].finished for w in held])
             held, positions = held[goes_on], positions[goes_on]
 
-    def _follow_hold(self, candidate: Candidate, h: float, normal: np.ndarray, fastest: float, elapsed: float) -> bool:
+    def _follow_hold(
+        self, candidate: Candidate, h: float, normal: np.ndarray, fastest: float, elapsed: float
+    ) -> bool:
         """Decide after a step whether one grasp has lost or goes on; return whether it has held long enough."""
         remaining = self.options.pickup_hold_time - candidate.holding_time
         touching = candidate.touching(normal[:2]).all()
