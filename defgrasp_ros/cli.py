@@ -14,6 +14,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from defgrasp_ros import evaluation as ev
+from defgrasp_ros.commands.grippers import grippers
 from defgrasp_ros.commands.mesh import mesh
 from defgrasp_ros.commands.objects import objects
 from defgrasp_ros.commands.sample import sample
@@ -28,6 +29,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # brackets in the help are units
 )
+app.command()(grippers)
 app.command()(mesh)
 app.command()(objects)
 app.command()(sample)

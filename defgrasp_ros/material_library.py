@@ -64,11 +64,17 @@ def material_library() -> dict[str, MaterialRecord]:
     library = {}
     for name, entry in yaml.safe_load(path.read_text()).items():
         try:
-            material = Material(**{key: entry.pop(key) for key in properties})
+            material = Material(**{key: _number(key, entry.pop(key)) for key in properties})
             library[name] = MaterialRecord(name, material, **entry)
         except (KeyError, TypeError, InvalidMaterialError) as error:
             raise InvalidMaterialError(f"{path}: {name}: {error}") from error
     return library
+
+
+def _number(name: str, value: object) -> float:
+    if not isinstance(value, float):  # YAML takes 2e5 for text; 2.0e+5 is a number
+        raise InvalidMaterialError(f"{name} = {value!r} is not a number such as 2.0e+5")
+    return value
 
 
 def find_material(name: str) -> MaterialRecord:

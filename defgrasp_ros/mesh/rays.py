@@ -11,8 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-RAYS_AT_ONCE = 2**21
-"""Rays times triangles that are looked at together; bounds the memory to some 100 MB."""
+PAIRS_AT_ONCE = 2**18
+"""Rays times triangles that are looked at together, so many that they stay in the processor's cache."""
+
+SINGLE_PRECISION_SLACK = 1e-5
+"""What a squared length computed in single precision may be wrong by, relative to the squared size of the scene."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +45,13 @@ class RayCaster:
         corners = np.asarray(vertices, dtype=np.float64)[triangles]
         self._corner = corners[:, 0]
         self._edges = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        self._centres = corners.mean(axis=1)
-        self._squared_radii = (np.linalg.norm(corners - self._centres[:, None], axis=2).max(axis=1) * (1.0 + 1e-9)) ** 2
+        self._middle = corners.mean(axis=(0, 1))  # keeps the digits of a small object far away from the origin
+        centres = corners.mean(axis=1)
+        squared_radii = (np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)) ** 2
+        centres -= self._middle
+        squared_distances = np.einsum("ij,ij->i", centres, centres)
+        self._squared_size = float((squared_distances + squared_radii).max())
+        self._spheres = np.vstack([centres.T, squared_radii - squared_distances]).astype(np.float32)
 
     def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
         """Return all crossings of each ray with the surface.
@@ -55,7 +63,7 @@ class RayCaster:
                 hit at a positive distance.
             directions: Unit vectors, shape ``(ray, 3)``.
         """
-        block = max(1, RAYS_AT_ONCE // len(self._centres))
+        block = max(1, PAIRS_AT_ONCE // len(self._corner))
         pairs = [
             self._near(origins[first : first + block], directions[first : first + block], first)
             for first in range(0, len(origins), block)
@@ -90,17 +98,16 @@ class RayCaster:
 
     def _near(self, origins: np.ndarray, directions: np.ndarray, first: int) -> np.ndarray:
         """Return ray and triangle of each pair in which the ray's line meets the triangle's bounding sphere."""
-        middle = self._centres.mean(axis=0)  # keeps the digits of a small object far away from the origin
-        centres, starts = self._centres - middle, origins - middle
+        starts = origins - self._middle
         # |c - s|^2 - (d . (c - s))^2 <= r^2, with all terms that depend on the triangle in two matrix products.
-        excess = np.einsum("ij,ij->i", centres, centres) - self._squared_radii
-        near = np.column_stack([2.0 * starts, np.ones(len(starts))]) @ np.column_stack([centres, -excess]).T
-        along = directions @ centres.T
-        along -= np.einsum("ij,ij->i", directions, starts)[:, None]
+        near = np.column_stack([2.0 * starts, np.ones(len(starts))]).astype(np.float32) @ self._spheres
+        along = directions.astype(np.float32) @ self._spheres[:3]
+        along -= np.einsum("ij,ij->i", directions, starts).astype(np.float32)[:, None]
         along *= along
         near += along
         squared_starts = np.einsum("ij,ij->i", starts, starts)
-        ray, triangle = np.nonzero(near >= squared_starts[:, None] * (1.0 - 1e-12))
+        slack = SINGLE_PRECISION_SLACK * (self._squared_size + squared_starts)
+        ray, triangle = np.nonzero(near >= (squared_starts - slack).astype(np.float32)[:, None])
         return np.stack([ray + first, triangle])
 
 

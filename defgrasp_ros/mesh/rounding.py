@@ -32,9 +32,10 @@ RELAXATION = 0.5
 def with_rounded_edges(surface: trimesh.Trimesh, radius: float) -> trimesh.Trimesh:
     """Return the surface with its sharp edges rounded, about as by a fillet.
 
-    The vertices near sharp edges are smoothed until the edges have receded as far as under a fillet of that radius:
-    ``radius (1 / cos(angle / 2) - 1)``, where ``angle`` is that between the normals of the two faces. The rest of
-    the surface stays where it is. The cross-section is only nearly an arc.
+    The vertices near sharp edges are smoothed until as much volume is taken away (or, at inner edges, added) as by a
+    fillet of that radius: ``radius^2 (tan(angle / 2) - angle / 2)`` per length of an edge, where ``angle`` is that
+    between the normals of the two faces. The rest of the surface stays where it is. The cross-section is only nearly
+    an arc.
 
     Args:
         surface: Closed, with outward normals.
@@ -69,11 +70,15 @@ def with_rounded_edges(surface: trimesh.Trimesh, radius: float) -> trimesh.Trime
     pairs = np.concatenate([fine.edges_unique, fine.edges_unique[:, ::-1]])
     neighbours = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
     mean_of_neighbours = neighbours.multiply(1.0 / neighbours.sum(axis=1)[:, None]).tocsr()[free]
-    wanted = float(np.median(radius * (1.0 / np.cos(angles / 2.0) - 1.0)))
+    lengths = np.linalg.norm(start[edges[:, 1]] - start[edges[:, 0]], axis=1)
+    wanted = float(radius**2 * ((np.tan(angles / 2.0) - angles / 2.0) * lengths).sum())
+    areas = np.bincount(fine.faces.ravel(), np.repeat(fine.area_faces / 3.0, 3), minlength=count)[free]
+    normals = fine.vertex_normals[free]
     positions = start.copy()
     for _ in range(MAX_SMOOTHINGS):
         positions[free] += RELAXATION * (mean_of_neighbours @ positions - positions[free])
-        if np.median(np.linalg.norm(positions[rim] - start[rim], axis=1)) >= wanted:
+        moved = np.einsum("vi,vi->v", positions[free] - start[free], normals)
+        if areas @ np.abs(moved) >= wanted:
             break
     return trimesh.Trimesh(positions, fine.faces, process=False)
 

@@ -19,8 +19,8 @@ MIN_TRIANGLES = 100
 LONGEST_TRIANGLE_EDGE = 4.0 / 3.0
 """In edge lengths of the elements; the length at which fTetWild splits edges too."""
 
-AGGRESSIONS = (7, 4, 2, 1)
-"""How fast the allowed error grows during a decimation: the library's default, and gentler ones."""
+AGGRESSIONS = (2, 1)
+"""How fast the allowed error grows during a decimation; with the library's default of 7 triangles become slivers."""
 
 MAX_DENT = 0.02
 """Largest relative change of volume in a decimation."""

@@ -54,8 +54,10 @@ class LibraryObject:
             ``(triangle, 3)``.
         """
         made = self._make()
-        vertices, triangles = (made.vertices, made.surface_triangles) if isinstance(made, TetMesh) else made
-        return _placed(vertices), triangles
+        if not isinstance(made, TetMesh):
+            return _placed(made[0]), made[1]
+        used, triangles = np.unique(made.surface_triangles, return_inverse=True)
+        return _placed(made.vertices[used]), triangles.reshape(-1, 3)
 
     def mesh(self, target_edge_length: float | None = None, element_order: int = 1) -> TetMesh:
         """Return its tetrahedra, made once, then cached.

@@ -24,12 +24,16 @@ from defgrasp_ros.sampling.clearance import Fit, HandFit
 from defgrasp_ros.sampling.diversity import farthest_first
 from defgrasp_ros.sampling.surface_points import in_cone, perpendicular, surface_points
 
-DEFAULT_CONE = 0.2
-"""Largest angle between closing axis and contact normals [rad] where none is given: the friction cone of mu = 0.2.
-Flat pads turn a contact that is much more tilted until it is not."""
+DEFAULT_CONE = 0.1
+"""Largest angle between closing axis and contact normals [rad] where none is given: the friction cone of mu = 0.1.
+Flat pads turn an object whose faces are more tilted until they lie on them."""
 
 POOL = 3
-"""Grasps found for each one that is returned; the most different ones are."""
+"""Grasps found for each one that is returned."""
+
+KEPT = 0.5
+"""Share of them that is kept, those whose closing axes pass nearest to the middle of the object: far from it the weight
+turns the object in the hand. Of these the most different ones are returned."""
 
 MAX_LINES = 400
 """Lines tried for each grasp that is asked for, before the search ends."""
@@ -53,6 +57,10 @@ class _Candidate:
         outward = np.stack([self.rotation[:, 1], -self.rotation[:, 1]])
         cosines = np.einsum("ij,ij->i", outward, self.normals)
         return float(np.arccos(np.clip(cosines.min(), -1.0, 1.0)))
+
+    def axis_distance(self, point: np.ndarray) -> float:
+        """Return the distance of a point from the closing axis [m]."""
+        return float(np.linalg.norm(np.cross(point - self.contacts[0], self.rotation[:, 1])))
 
     def named(self, id: str) -> AntipodalGrasp:
         grasp = Grasp(self.position, Rotation.from_matrix(self.rotation).as_quat(), id=id)
@@ -103,8 +111,8 @@ def antipodal_grasps(
         seed: Of the random numbers; equal seeds give equal grasps.
 
     Returns:
-        Grasps in the order of a farthest-point traversal that begins with the most antipodal one: every beginning
-        of the list is spread out.
+        Grasps in the order of a farthest-point traversal that begins with the one whose closing axis passes nearest
+        to the middle of the object: every beginning of the list is spread out.
 
     Raises:
         EmptyGraspListError: If there is none; the text says why the lines that were tried gave nothing.
@@ -124,7 +132,9 @@ def antipodal_grasps(
         raise EmptyGraspListError(
             f"no antipodal grasp was found ({reasons}); allow a larger angle, another standoff or another gripper"
         )
-    pool.sort(key=lambda candidate: candidate.angle)
+    middle = _centroid(vertices, triangles)
+    pool.sort(key=lambda candidate: candidate.axis_distance(middle))
+    pool = pool[: max(count, round(KEPT * len(pool)))]
     positions = np.array([candidate.position for candidate in pool])
     rotations = np.array([candidate.rotation for candidate in pool])
     chosen = farthest_first(positions, rotations, count)
@@ -171,3 +181,11 @@ def _candidates(
                     np.stack([end, start]),
                     np.stack([normals[hits.triangle[hit]], normals[on[hits.ray[hit]]]]),
                 )
+
+
+def _centroid(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return the centre of mass of the solid inside a closed surface [m], shape ``(3,)``."""
+    start = vertices.mean(axis=0)
+    a, b, c = np.moveaxis(vertices[triangles] - start, 1, 0)
+    volumes = np.einsum("ti,ti->t", a, np.cross(b, c))
+    return start + volumes @ (a + b + c) / (4.0 * volumes.sum())
