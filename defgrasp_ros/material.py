@@ -14,7 +14,7 @@ class Material:
 
     Args:
         youngs_modulus: Young's modulus E [Pa], in (0, 1e10]: the solver is made for soft and plastic, not for steel.
-        poissons_ratio: Poisson's ratio nu [-], in [0, 0.49]; linear tetrahedra lock close to 0.5.
+        poissons_ratio: Poisson's ratio nu [-], in [0, 0.49]; tetrahedra of order 1 lock close to 0.5.
         density: Mass density [kg/m^3], > 0.
         friction_coefficient: Coulomb friction mu [-] against pads and platform, > 0: the target force of a
             grasp, safety factor x m g / mu, does not exist without friction.

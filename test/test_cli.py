@@ -57,9 +57,10 @@ def test_json_is_all_that_is_printed(block, grasps):
     assert missed["features"]["edge_distance"] is None and missed["contacts"] == []
     assert held["result"]["name"] == "OK" and held["metrics"]["pickup_success"] is True
     assert held["applied_force"] == pytest.approx(held["target_force"], rel=1e-3)
-    for force in ("force", "tangential_force"):
+    # Where the tip fillet touches, normal forces carry a little of the weight, too.
+    for force, tolerance in (("force", 1e-3), ("tangential_force", 1e-2)):
         upward = sum(finger[force][2] for finger in held["contacts"])
-        assert upward == pytest.approx(0.027 * 9.81, rel=1e-3)
+        assert upward == pytest.approx(0.027 * 9.81, rel=tolerance)
     assert held["solver"]["converged"] is True and held["solver"]["residual"] < 1e-6
     assert weak["target_force"] == 0.3 and weak["metrics"]["pickup_success"] is False
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from defgrasp_ros.errors import EmptyGraspListError, ResultCode
 from defgrasp_ros.evaluation import EvaluationObserver, EvaluationOptions, GraspEvaluation, Phase
-from defgrasp_ros.experiments import evaluate_grasps, pickup
+from defgrasp_ros.experiments import evaluate, evaluate_grasps
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import load_gripper
 from defgrasp_ros.material import Material
@@ -88,7 +88,7 @@ def test_pickup_with_elements_of_order_two():
     for model in (coarse, fine):
         evaluation = evaluate_grasps(model, [grasp("held")], load_gripper(), OPTIONS)[0]
         assert evaluation.code == ResultCode.OK and evaluation.solver.converged
-        carried = sum(finger.tangential_force for finger in evaluation.contacts)
+        carried = sum(finger.forces.sum(axis=0) for finger in evaluation.contacts)
         np.testing.assert_allclose(carried, [0.0, 0.0, model.weight], atol=1e-3 * model.weight)
         state = evaluation.fields["post_pickup"]
         assert state.positions.shape == model.mesh.vertices.shape
@@ -230,7 +230,7 @@ def test_batches_give_what_one_batch_gives(monkeypatch):
     """More grasps than fit into a batch come out as they do together."""
     model, grasps = block(2e5), [grasp(str(i), position=(0.0, 0.0, 0.002 * i)) for i in range(3)]
     together = evaluate_grasps(model, grasps, load_gripper(), OPTIONS)
-    monkeypatch.setattr(pickup, "MAX_BATCH", 2)
+    monkeypatch.setattr(evaluate, "MAX_BATCH", 2)
     apart = evaluate_grasps(model, grasps, load_gripper(), OPTIONS)
     for one, other in zip(together, apart, strict=True):
         assert one.code is other.code and one.grasp_index == other.grasp_index

@@ -133,10 +133,10 @@ class ContactSet:
 
     def _search(self, rows: wp.array, margin: float) -> None:
         """Fill the list of found points, which grows as needed."""
-        scene = self._scene(self._state.displacement)
-        self._screen(scene, rows, margin)
+        scene = self._scene(self._state.displacement, margin)
+        self._screen(scene, rows)
         while True:
-            needed = self._propose(scene, rows, margin, self._proposed, self._proposed_gap)
+            needed = self._propose(scene, rows, self._proposed, self._proposed_gap)
             if needed <= self.capacity:
                 inputs = [self._proposed, self._proposed_gap, rows]
                 self._launch(detection.join_bodies, rows.shape[0], inputs, [self._found, self._gap])
@@ -150,14 +150,14 @@ class ContactSet:
 
         It is inf where there is none within ``reach`` [m].
         """
-        scene = self._scene(self._state.start_displacement)
-        self._screen(scene, rows, reach)
+        scene = self._scene(self._state.start_displacement, reach)
+        self._screen(scene, rows)
         capacity = 0
         while True:
             row_count = faces.BODY_COUNT * rows.shape[0]
             every = self._contact_list(row_count, capacity)
             gap = wp.zeros((row_count, capacity), dtype=wp.float64, device=self._device)
-            needed = self._propose(scene, rows, reach, every, gap)
+            needed = self._propose(scene, rows, every, gap)
             if needed <= capacity:
                 break
             capacity = needed
@@ -165,30 +165,29 @@ class ContactSet:
         smallest = np.where(listed, gap.numpy(), np.inf).min(axis=1, initial=np.inf)
         return smallest.reshape(-1, faces.BODY_COUNT)[:, [faces.LEFT_PAD, faces.RIGHT_PAD]]
 
-    def _scene(self, displacement: wp.array) -> detection.Scene:
+    def _scene(self, displacement: wp.array, margin: float) -> detection.Scene:
         scene, model = detection.Scene(), self._model
         scene.surface, scene.faces, scene.bodies = model.surface, model.faces, self._state.bodies
         scene.rest, scene.displacement = model.vertices, displacement
+        scene.margin, scene.tie = margin, self._penetration
         scene.normal, scene.places = self._normal, self._places
         return scene
 
-    def _screen(self, scene: detection.Scene, rows: wp.array, margin: float) -> None:
-        """Mark the features of the surface that can be nearer to a body than the margin [m]."""
+    def _screen(self, scene: detection.Scene, rows: wp.array) -> None:
+        """Mark the features of the surface that can be nearer to a body than the margin."""
         count = rows.shape[0]
-        self._launch(detection.look_at_nodes, (count, len(scene.surface.nodes)), [scene, margin, rows])
+        self._launch(detection.look_at_nodes, (count, len(scene.surface.nodes)), [scene, rows])
         self._launch(detection.screen_features, (count, self._near.shape[2]), [scene, rows], [self._near])
 
-    def _propose(
-        self, scene: detection.Scene, rows: wp.array, margin: float, proposed: contact.ContactList, gap: wp.array
-    ) -> int:
+    def _propose(self, scene: detection.Scene, rows: wp.array, proposed: contact.ContactList, gap: wp.array) -> int:
         """List the candidates of each world and body; return how much room the longest list needs."""
         dim = (rows.shape[0], faces.BODY_COUNT)
-        inputs = [scene, self._near, margin, self._penetration, rows]
+        inputs = [scene, self._near, rows]
         self._launch(detection.propose_contacts, dim, inputs, [proposed, gap])
         return int(proposed.count.numpy()[: dim[0] * dim[1]].max(initial=0))
 
     def _carry_forces(self, rows: wp.array, stale: wp.array) -> None:
-        scene = self._scene(self._state.displacement)
+        scene = self._scene(self._state.displacement, self._margin)
         inputs = [scene, rows, self.lists, self._gap, self._penetration]
         self._launch(detection.carry_forces, rows.shape[0], inputs, [self._found, stale, self._missing])
 

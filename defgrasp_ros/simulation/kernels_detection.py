@@ -96,6 +96,8 @@ class Scene:
     rest: wp.array[vec3d]  # (node,) [m]
     displacement: wp.array2d[vec3d]  # (world, node) [m]
     normal: wp.array2d[vec3d]  # (world, node): outward
+    margin: wp.float64  # gap below which a point is a candidate [m]
+    tie: wp.float64  # difference of gaps that does not count [m]
     places: wp.array2d[int]  # (world, node): bits that tell where a node lies relative to each body
 
 
@@ -132,14 +134,14 @@ def within(p: vec3d, low: vec2d, high: vec2d) -> bool:
 
 
 @wp.func
-def place_bits(scene: Scene, margin: wp.float64, body: int, p: vec3d) -> int:
+def place_bits(scene: Scene, body: int, p: vec3d) -> int:
     """Bits that tell where a place in the frame of a face lies."""
     faces = scene.faces
     low = outline_low(faces, body)
     high = outline_high(faces, body)
     deepest = wp.max(faces.fillet_low[body], faces.fillet_high[body])
     bits = int(0)
-    if p[2] > RIM_SLOPE * wp.max(margin, wp.float64(0.0)):
+    if p[2] > RIM_SLOPE * wp.max(scene.margin, wp.float64(0.0)):
         bits += IN_FRONT
     if p[2] < -faces.depth[body] - deepest[0] - deepest[1]:
         bits += BEHIND
@@ -157,7 +159,7 @@ def place_bits(scene: Scene, margin: wp.float64, body: int, p: vec3d) -> int:
 
 
 @wp.kernel
-def look_at_nodes(scene: Scene, margin: wp.float64, worlds: wp.array[int]):
+def look_at_nodes(scene: Scene, worlds: wp.array[int]):
     """Outward normal of each surface node, the area-weighted mean of its triangles, and where it lies."""
     i, s = wp.tid()
     w = worlds[i]
@@ -170,7 +172,7 @@ def look_at_nodes(scene: Scene, margin: wp.float64, worlds: wp.array[int]):
     x = position(scene, w, n)
     bits = int(0)
     for body in range(wp.static(BODY_COUNT)):
-        bits += place_bits(scene, margin, body, to_face(scene.bodies, w, body, x)) << (BITS_PER_BODY * body)
+        bits += place_bits(scene, body, to_face(scene.bodies, w, body, x)) << (BITS_PER_BODY * body)
     scene.places[w, n] = bits
 
 
@@ -263,8 +265,6 @@ def touch(scene: Scene, world: int, body: int, x: vec3d, place: vec3d, contacts:
 @wp.func
 def propose(
     scene: Scene,
-    margin: wp.float64,
-    tie: wp.float64,
     world: int,
     body: int,
     candidate: Candidate,
@@ -283,7 +283,7 @@ def propose(
     outward_here = scene.bodies.frame[world, body] * candidate.outward
     gap = p[2] + h[0]
     distance = gap / wp.sqrt(wp.float64(1.0) + h[1] * h[1] + h[2] * h[2])
-    if distance > margin or gap < -scene.faces.depth[body]:
+    if distance > scene.margin or gap < -scene.faces.depth[body]:
         return count
     if outward_here[0] + h[1] * outward_here[1] + h[2] * outward_here[2] >= wp.float64(0.0):
         return count
@@ -292,7 +292,7 @@ def propose(
         replaced = int(0)
         for c in range(wp.min(count, capacity)):
             if contacts.key[row, c] >= 0 and same_point(candidate, contacts.nodes[row, c], contacts.weights[row, c]):
-                if gap >= gaps[row, c] - tie:
+                if gap >= gaps[row, c] - scene.tie:
                     return count
                 replaced += 1
         if replaced > 0:
@@ -435,8 +435,6 @@ def triangle_point(faces: Faces, body: int, a: vec3d, b: vec3d, c: vec3d, corner
 @wp.func
 def propose_node(
     scene: Scene,
-    margin: wp.float64,
-    tie: wp.float64,
     world: int,
     body: int,
     n: int,
@@ -452,14 +450,12 @@ def propose_node(
     candidate.nodes = wp.vec3i(n, n, n)
     candidate.weights = vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0))
     candidate.outward = scene.normal[world, n]
-    return propose(scene, margin, tie, world, body, candidate, contacts, gaps, row, count)
+    return propose(scene, world, body, candidate, contacts, gaps, row, count)
 
 
 @wp.func
 def propose_edge(
     scene: Scene,
-    margin: wp.float64,
-    tie: wp.float64,
     world: int,
     body: int,
     e: int,
@@ -483,15 +479,13 @@ def propose_edge(
             candidate.key = scene.surface.edge_key + EDGE_POINTS * e + k
             candidate.weights = vec3d(wp.float64(1.0) - f, f, wp.float64(0.0))
             candidate.place = pa + f * (pb - pa)
-            count = propose(scene, margin, tie, world, body, candidate, contacts, gaps, row, count)
+            count = propose(scene, world, body, candidate, contacts, gaps, row, count)
     return count
 
 
 @wp.func
 def propose_triangle(
     scene: Scene,
-    margin: wp.float64,
-    tie: wp.float64,
     world: int,
     body: int,
     t: int,
@@ -517,7 +511,7 @@ def propose_triangle(
             candidate.key = scene.surface.triangle_key + TRIANGLE_POINTS * t + k
             candidate.weights = weights
             candidate.place = weights[0] * pa + weights[1] * pb + weights[2] * pc
-            count = propose(scene, margin, tie, world, body, candidate, contacts, gaps, row, count)
+            count = propose(scene, world, body, candidate, contacts, gaps, row, count)
     return count
 
 
@@ -525,8 +519,6 @@ def propose_triangle(
 def propose_contacts(
     scene: Scene,
     near: wp.array3d[wp.uint64],  # (row, body, chunk)
-    margin: wp.float64,  # [m]
-    tie: wp.float64,  # [m]
     worlds: wp.array[int],  # (row,)
     # Out:
     proposed: ContactList,  # row: body + BODY_COUNT * row of worlds
@@ -549,11 +541,11 @@ def propose_contacts(
                 triangle = edge - edge_count
                 if edge < 0:
                     node = scene.surface.nodes[feature]
-                    count = propose_node(scene, margin, tie, w, body, node, proposed, gap_out, row, count)
+                    count = propose_node(scene, w, body, node, proposed, gap_out, row, count)
                 elif triangle < 0:
-                    count = propose_edge(scene, margin, tie, w, body, edge, proposed, gap_out, row, count)
+                    count = propose_edge(scene, w, body, edge, proposed, gap_out, row, count)
                 else:
-                    count = propose_triangle(scene, margin, tie, w, body, triangle, proposed, gap_out, row, count)
+                    count = propose_triangle(scene, w, body, triangle, proposed, gap_out, row, count)
             bits = bits >> wp.uint64(1)
             k += 1
     proposed.count[row] = count

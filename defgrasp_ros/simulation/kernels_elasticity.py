@@ -2,7 +2,9 @@
 
 The residual of an implicit Euler step of length h from (u_n, v_n) to u is, per node,
 
-    r = M (g + (v_n - (u - u_n) / h) / h) + f_elastic(u) + f_contact.
+    r = M (g + a_frame + (v_n - (u - u_n) / h) / h) + f_elastic(u) + f_contact,
+
+with what a turning frame adds, a_frame.
 
 What an element contributes is in ``kernels_element``. Everything is double precision. "world" is one simulated
 experiment; kernels run over a compact list of worlds: ``worlds[i]`` is the row of the state, ``i`` the row of the work
@@ -62,23 +64,45 @@ def refresh_rotations(
         compliance_is_stale[w] = 1
 
 
+@wp.struct
+class Spin:
+    """How the frame of each world turns; it does not where all are zero."""
+
+    centre: wp.array[vec3d]  # (world,) point on the axis [m]
+    velocity: wp.array[vec3d]  # (world,) omega [rad/s]
+    acceleration: wp.array[vec3d]  # (world,) alpha [rad/s^2]
+
+
+@wp.func
+def frame_acceleration(spin: Spin, world: int, x: vec3d, velocity: vec3d) -> vec3d:
+    """Acceleration that a turning frame adds: -alpha x r - omega x (omega x r) - 2 omega x v (Euler, centrifugal,
+    Coriolis)."""
+    r = x - spin.centre[world]
+    omega = spin.velocity[world]
+    turning = wp.cross(spin.acceleration[world], r) + wp.cross(omega, wp.cross(omega, r))
+    return -(turning + wp.float64(2.0) * wp.cross(omega, velocity))
+
+
 @wp.kernel
 def missing_acceleration(
+    rest: wp.array[vec3d],  # (node,) [m]
     step_length: wp.float64,  # [s]
     # State in:
     worlds: wp.array[int],  # (row,)
     gravity: wp.array[vec3d],  # (world,) [m/s^2]
+    spin: Spin,
     start_displacement: wp.array2d[vec3d],  # (world, node) [m]
     start_velocity: wp.array2d[vec3d],  # (world, node) [m/s]
     displacement: wp.array2d[vec3d],  # (world, node) [m]
     # Out:
     acceleration_out: wp.array2d[vec3d],  # (row, node) [m/s^2]
 ):
-    """Gravity less the acceleration of the step."""
+    """Gravity and what the frame adds, less the acceleration of the step."""
     i, n = wp.tid()
     w = worlds[i]
     velocity = (displacement[w, n] - start_displacement[w, n]) / step_length
-    acceleration_out[i, n] = gravity[w] + (start_velocity[w, n] - velocity) / step_length
+    body = gravity[w] + frame_acceleration(spin, w, rest[n] + displacement[w, n], velocity)
+    acceleration_out[i, n] = body + (start_velocity[w, n] - velocity) / step_length
 
 
 @wp.kernel

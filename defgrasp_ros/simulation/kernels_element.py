@@ -21,14 +21,13 @@ from defgrasp_ros.simulation.types import mat33d, mat43d, vec2d, vec3d, vec6d
 
 wp.set_module_options({"enable_backward": False})
 
+LAST_CHANGE = wp.constant(wp.float64(1e-17))
+"""Square of the change at which Newton's iterations end; they converge quadratically, so less than rounding is left."""
 POLAR_ITERATIONS = wp.constant(20)
-POLAR_TOLERANCE = wp.constant(wp.float64(1e-30))
 MIN_DETERMINANT = wp.constant(wp.float64(1e-3))
-MAX_GREEN_STRAIN = wp.constant(wp.float64(0.2))
-"""Frobenius norm of E up to which Newton's iteration for S is stable, as it is for cond(I + 2 E) < 9 (Higham 1986)."""
 STRETCH_ITERATIONS = wp.constant(4)
-STRETCH_TOLERANCE = wp.constant(wp.float64(1e-17))
-"""Square of the last change of S; the iteration converges quadratically, so what is left is smaller than rounding."""
+MAX_GREEN_STRAIN = wp.constant(wp.float64(0.2))
+"""Frobenius norm of E up to which the iteration for S is stable, as it is for cond(I + 2 E) < 9 (Higham 1986)."""
 
 
 @wp.func
@@ -61,7 +60,7 @@ def polar_rotation(f: mat33d) -> mat33d:
         det = r[0, 0] * c[0, 0] + r[0, 1] * c[0, 1] + r[0, 2] * c[0, 2]
         step = wp.float64(0.5) * (c / det - r)
         r = r + step
-        if wp.ddot(step, step) < POLAR_TOLERANCE:
+        if wp.ddot(step, step) < LAST_CHANGE:
             break
     return r
 
@@ -138,7 +137,7 @@ def stretch_strain(green: vec6d) -> vec6d:
         better = commuting_product(symmetric_inverse(plus_identity(s)), green + half * commuting_product(s, s))
         step = better - s
         s = better
-        if wp.dot(step, step) < STRETCH_TOLERANCE:
+        if wp.dot(step, step) < LAST_CHANGE:
             break
     return s
 

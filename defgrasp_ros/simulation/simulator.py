@@ -125,6 +125,21 @@ class Simulator:
         for shard, entries, places in self._parts(worlds):
             set_entries(shard.state.gravity, entries, gravity[places])
 
+    def set_spin(self, worlds: np.ndarray, centre: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> None:
+        """Let the frame of some worlds turn: their bodies feel Euler's, the centrifugal and Coriolis' force.
+
+        Args:
+            worlds: Indices, shape ``(n,)``.
+            centre: A point on the axis [m], shape ``(n, 3)``.
+            velocity: Angular velocity at the end of the next step [rad/s], shape ``(n, 3)``.
+            acceleration: Angular acceleration [rad/s^2], shape ``(n, 3)``.
+        """
+        for shard, entries, places in self._parts(worlds):
+            spin = shard.state.spin
+            set_entries(spin.centre, entries, centre[places])
+            set_entries(spin.velocity, entries, velocity[places])
+            set_entries(spin.acceleration, entries, acceleration[places])
+
     def set_displacement(self, worlds: np.ndarray, displacement: np.ndarray) -> None:
         """Put the nodes at rest position + displacement [m], shape ``(node, 3)`` or ``(n, node, 3)``; no velocity."""
         displacement = np.broadcast_to(displacement, (len(worlds), self._constants.node_count, 3))

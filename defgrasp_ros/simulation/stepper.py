@@ -199,8 +199,8 @@ class Stepper:
         self._launch(
             elastic.missing_acceleration,
             nodes,
-            [shared.step_length, rows, state.gravity, state.start_displacement, state.start_velocity]
-            + [state.displacement],
+            [model.vertices, shared.step_length, rows, state.gravity, state.spin]
+            + [state.start_displacement, state.start_velocity, state.displacement],
             [acceleration],
         )
         self._launch(

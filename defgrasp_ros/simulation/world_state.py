@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 
 from defgrasp_ros.object_model import STANDARD_GRAVITY
+from defgrasp_ros.simulation.kernels_elasticity import Spin
 from defgrasp_ros.simulation.kernels_faces import BODY_COUNT, PLATFORM, Bodies
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
@@ -33,6 +34,9 @@ class WorldState:
         self.gravity = zeros(world_count, vec3d)
         """[m/s^2]."""
         self.gravity.fill_(vec3d(0.0, 0.0, -STANDARD_GRAVITY))
+
+        self.spin = Spin()
+        self.spin.centre, self.spin.velocity, self.spin.acceleration = (zeros(world_count, vec3d) for _ in range(3))
 
         self.finger_damping = wp.ones(world_count, dtype=wp.float64, device=device)
         """c [N s/m]."""
@@ -68,7 +72,8 @@ class WorldState:
         nodal = [self.displacement, self.start_displacement, self.start_velocity, self.rotation]
         hand = [self.finger_damping, self.closing_force, self.start_opening]
         bodies = [self.bodies.enabled, self.bodies.frame, self.bodies.base, self.bodies.origin, self.bodies.opening]
-        return [*nodal, self.gravity, *hand, *bodies]
+        spin = [self.spin.centre, self.spin.velocity, self.spin.acceleration]
+        return [*nodal, self.gravity, *spin, *hand, *bodies]
 
     def platform_heights(self, worlds: np.ndarray) -> np.ndarray:
         """Height of the platform's surface [m], shape ``(n,)``."""
