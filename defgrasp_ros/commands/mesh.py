@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -44,7 +43,6 @@ def mesh(
     from defgrasp_ros.mesh.mesh_writer import write_mesh
     from defgrasp_ros.mesh.report import mesh_report
 
-    logging.disable(logging.WARNING)  # the report says the same
     name, prepared, default = prepared_object(object, scale, edge_length, wall_thickness, edge_radius)
     substance: Material = find_material(material).material if material else default
     result = mesh_report(name, prepared, substance)

@@ -72,7 +72,7 @@ def read_mesh(
         wall_thickness=wall_thickness,
         edge_radius=edge_radius,
         element_order=element_order,
-    ).mesh
+    ).logged()
 
 
 def read_mesh_bytes(data: bytes, format: str, **options: float | None) -> TetMesh:
@@ -86,7 +86,7 @@ def read_mesh_bytes(data: bytes, format: str, **options: float | None) -> TetMes
     Raises:
         InvalidMeshError: As in ``read_mesh``.
     """
-    return prepare_bytes(data, format, **options).mesh
+    return prepare_bytes(data, format, **options).logged()
 
 
 def prepare_file(path: Path | str, **options: float | None) -> PreparedMesh:

@@ -61,17 +61,23 @@ class PreparedMesh:
     mends: tuple[str, ...]
     warnings: tuple[str, ...]
 
+    def logged(self) -> TetMesh:
+        """Return the mesh; what was mended and what may be wrong goes to the log."""
+        for text in (*self.mends, *self.warnings):
+            logger.warning(text)
+        return self.mesh
+
 
 def mesh_from_surface(vertices: np.ndarray, triangles: np.ndarray, **options: float | None) -> TetMesh:
     """Return the solid inside a surface; arguments and errors as of ``prepare_surface``."""
-    return prepare_surface(vertices, triangles, **options).mesh
+    return prepare_surface(vertices, triangles, **options).logged()
 
 
 def mesh_from_tetrahedra(
     vertices: np.ndarray, tetrahedra: np.ndarray, *, scale: float = 1.0, element_order: int = 1
 ) -> TetMesh:
     """Return ready tetrahedra as they are, checked; arguments and errors as of ``prepare_tetrahedra``."""
-    return prepare_tetrahedra(vertices, tetrahedra, scale=scale, element_order=element_order).mesh
+    return prepare_tetrahedra(vertices, tetrahedra, scale=scale, element_order=element_order).logged()
 
 
 def prepare_surface(
@@ -120,7 +126,6 @@ def prepare_surface(
     mesh, components = _largest_body(mesh, mends)
     mesh = replace(mesh, element_order=element_order)
     _check_elements(mesh, warnings)
-    _warn(mends, warnings)
     return PreparedMesh(mesh, len(triangles), bool(watertight), components, tuple(mends), tuple(warnings))
 
 
@@ -149,7 +154,6 @@ def prepare_tetrahedra(
     mesh, components = _largest_body(TetMesh(vertices, tetrahedra), mends)
     mesh = replace(mesh, element_order=element_order)
     _check_elements(mesh, warnings)
-    _warn(mends, warnings)
     return PreparedMesh(mesh, None, None, components, tuple(mends), tuple(warnings))
 
 
@@ -233,8 +237,3 @@ def _largest_body(mesh: TetMesh, mends: list[str]) -> tuple[TetMesh, int]:
         )
     mends.append(f"left out {count - 1} loose specks, together {100.0 * rest:.2g} % of the volume")
     return TetMesh(mesh.vertices, mesh.tetrahedra[body == volumes.argmax()]), count
-
-
-def _warn(mends: list[str], warnings: list[str]) -> None:
-    for text in (*mends, *warnings):
-        logger.warning(text)

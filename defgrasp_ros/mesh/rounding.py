@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import trimesh
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
 from defgrasp_ros.checks import require_in_range
 from defgrasp_ros.errors import InvalidMeshError
 from defgrasp_ros.mesh.triangle_size import REGULAR_TRIANGLE, split_long_edges
+
+if TYPE_CHECKING:
+    import trimesh
 
 SHARP_ANGLE = np.radians(30.0)
 """Edges at which the surface turns by more than this are sharp [rad]."""
@@ -45,6 +49,8 @@ def with_rounded_edges(surface: trimesh.Trimesh, radius: float) -> trimesh.Trime
         InvalidMeshError: If the radius is not positive, larger than a quarter of the object's shortest side, or so
             small that the surface would need more than ``MAX_TRIANGLES``.
     """
+    import trimesh
+
     require_in_range(
         InvalidMeshError, "edge_radius", radius, 0.0, float(surface.extents.min()) / 4.0, low_open=True, unit="m"
     )

@@ -76,7 +76,7 @@ class LibraryObject:
                 raise InvalidOptionsError(f"{self.name} is hollow: its mesh has a fixed target_edge_length")
             return TetMesh(_placed(made.vertices), made.tetrahedra, element_order)
         options = {"target_edge_length": target_edge_length, "element_order": element_order}
-        return prepare_surface(_placed(made[0]), made[1], **options).mesh
+        return prepare_surface(_placed(made[0]), made[1], **options).logged()
 
     def model(self, target_edge_length: float | None = None, element_order: int = 1) -> ObjectModel:
         """Return mesh and default material; arguments and errors as of ``mesh``."""
