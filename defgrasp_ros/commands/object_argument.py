@@ -29,6 +29,7 @@ def prepared_object(
     edge_length: float | None = None,
     wall_thickness: float | None = None,
     edge_radius: float | None = None,
+    element_order: int = 1,
 ) -> tuple[str, PreparedMesh, Material]:
     """Return name, tetrahedra and default material of OBJECT.
 
@@ -46,7 +47,7 @@ def prepared_object(
         wrong = [name for name, value in given.items() if value]
         if wrong:
             raise NotFoundError(f"--{wrong[0]} belongs to mesh files, but '{text}' is an object of the library")
-        mesh = found.mesh(edge_length)
+        mesh = found.mesh(edge_length, element_order)
         return text, PreparedMesh(mesh, None, None, 1, (), ()), found.material.material
     prepared = prepare_file(
         text,
@@ -54,6 +55,7 @@ def prepared_object(
         target_edge_length=edge_length,
         wall_thickness=wall_thickness,
         edge_radius=edge_radius,
+        element_order=element_order,
     )
     return Path(text).stem, prepared, Material()
 
