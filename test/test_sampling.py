@@ -9,8 +9,11 @@ from defgrasp_ros.gripper import load_gripper
 from defgrasp_ros.mesh.box_overlap import triangles_meeting_box
 from defgrasp_ros.mesh.rays import RayCaster
 from defgrasp_ros.mesh.shapes import kidney_surface
+from defgrasp_ros.objects import find_object
 from defgrasp_ros.sampling import SAMPLERS, Fit, HandFit, antipodal_grasps, sample_grasps
+from defgrasp_ros.sampling.antipodal import DEFAULT_CONE
 from defgrasp_ros.sampling.clearance import finger_boxes, palm_box
+from defgrasp_ros.sampling.detail import with_fewer_triangles
 from defgrasp_ros.sampling.diversity import farthest_first
 from defgrasp_ros.sampling.rotations import GRID_SIZES, healpix_directions, rotation_grid
 
@@ -166,3 +169,25 @@ def test_rotation_grids_are_even():
         assert len(grid) == size
         angles = np.degrees((grid[0].inv() * grid[1:]).magnitude())
         assert 0.6 * spacing < angles.min() < 1.3 * spacing
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ellipsoid", "cube", "annulus", "cup", "bottle", "banana", "strawberry", "kidney"])
+@pytest.mark.parametrize("gripper", ["franka_hand", "robotiq_2f_85"])
+def test_fifty_grasps_on_objects_of_all_kinds(name, gripper):
+    """No palm or finger is inside, both pads reach the surface, and the contacts are within the cone."""
+    hand = load_gripper(gripper)
+    surface = trimesh.Trimesh(*with_fewer_triangles(*find_object(name).surface()), process=False)
+    found = antipodal_grasps(surface.vertices, surface.faces, hand, 50, seed=1)
+    assert len(found) == 50
+    random = np.random.default_rng(0)
+    for candidate in found:
+        grasp, closing = candidate.grasp, candidate.grasp.rotation[:, 1]
+        boxes = [*finger_boxes(hand, hand.max_opening), palm_box(hand)]
+        points = np.concatenate([random.uniform(low, high, (60, 3)) for low, high in boxes])
+        assert not surface.contains(grasp.position + points @ grasp.rotation.T).any()
+        starts = grasp.position + hand.max_opening * np.stack([closing, -closing])
+        hits, rays, triangles = surface.ray.intersects_location(starts, [-closing, closing], multiple_hits=False)
+        assert set(rays) == {0, 1}
+        assert (np.linalg.norm(hits - starts[rays], axis=1) < hand.max_opening).all()
+        assert candidate.angle <= DEFAULT_CONE + 1e-9
