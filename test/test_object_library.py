@@ -89,6 +89,15 @@ def test_every_solid_is_meshed(name):
     test_solids_are_meshed_to_about_a_thousand_nodes(name)
 
 
+def test_apple_slice_lies_on_its_cut_face():
+    """A good part of its surface is on the ground, and it stands there."""
+    surface = trimesh.Trimesh(*find_object("apple_slice").surface(), process=False)
+    on_ground = (surface.triangles[:, :, 2] < 1e-6).all(axis=1)
+    assert surface.area_faces[on_ground].sum() > 0.15 * surface.area
+    base = surface.triangles[on_ground][:, :, :2].reshape(-1, 2)
+    assert (base.min(axis=0) < surface.center_mass[:2]).all() and (surface.center_mass[:2] < base.max(axis=0)).all()
+
+
 def test_unknown_names_are_listed():
     """The error names what there is."""
     with pytest.raises(NotFoundError, match="'unicorn'.*sphere.*kidney"):

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from defgrasp_ros.errors import NotFoundError
+from defgrasp_ros.errors import InvalidOptionsError
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.object_mesh import PreparedMesh
 
@@ -46,7 +46,7 @@ def prepared_object(
         given = {"scale": scale != 1.0, "wall-thickness": wall_thickness, "edge-radius": edge_radius}
         wrong = [name for name, value in given.items() if value]
         if wrong:
-            raise NotFoundError(f"--{wrong[0]} belongs to mesh files, but '{text}' is an object of the library")
+            raise InvalidOptionsError(f"--{wrong[0]} belongs to mesh files, but '{text}' is an object of the library")
         mesh = found.mesh(edge_length, element_order)
         return text, PreparedMesh(mesh, None, None, 1, (), ()), found.material.material
     prepared = prepare_file(

@@ -18,7 +18,7 @@ from defgrasp_ros.mesh.tet_mesh import TetMesh
 from defgrasp_ros.object_model import ObjectModel
 
 CATEGORIES = ("primitive", "hollow", "food", "organ")
-SOLIDS = ("ellipsoid", "cylinder", "annulus", "ring", "cuboid", "prism", "slice")
+SOLIDS = ("ellipsoid", "cylinder", "annulus", "ring", "cuboid", "prism", "wedge")
 HOLLOWS = ("tube", "cup", "bowl", "bottle")
 NATURALS = (
     *("banana", "strawberry", "lemon", "apple", "tomato", "pear", "egg", "potato", "bread"),

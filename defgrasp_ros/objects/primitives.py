@@ -84,7 +84,7 @@ def prism(sides: int, radius: float, height: float, edge_radius: float | None = 
     return _rounded(trimesh.Trimesh(vertices, triangles, process=False), edge_radius)
 
 
-def slice(radius: float, angle: float, core_radius: float, edge_radius: float | None = None) -> Surface:
+def wedge(radius: float, angle: float, core_radius: float, edge_radius: float | None = None) -> Surface:
     """Return a wedge cut out of a ball, without its core, lying on one of its cut faces; ``angle`` [rad]."""
     turns = np.linspace(-angle / 2.0, angle / 2.0, 13)
     heights = np.linspace(-1.0, 1.0, 33) * np.sqrt(1.0 - (core_radius / radius) ** 2)
@@ -104,13 +104,13 @@ def slice(radius: float, angle: float, core_radius: float, edge_radius: float | 
         low, high = layer * count, (layer + 1) * count
         triangles += [np.column_stack([low + here, high + here, high + after])]
         triangles += [np.column_stack([low + here, high + after, low + after])]
-    wedge = trimesh.Trimesh(around, np.concatenate(triangles), process=False)
-    solid = _capped(wedge)
+    open_wedge = trimesh.Trimesh(around, np.concatenate(triangles), process=False)
+    solid = _capped(open_wedge)
     if solid.volume < 0.0:
         solid.invert()
-    solid.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2.0 - angle / 2.0, [0.0, 0.0, 1.0]))
-    solid.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2.0, [0.0, 1.0, 0.0]))
-    solid.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2.0, [1.0, 0.0, 0.0]))
+    # One cut face is turned into the plane y = 0, and y then upwards.
+    for turn, axis in ((angle / 2.0, [0.0, 0.0, 1.0]), (np.pi / 2.0, [1.0, 0.0, 0.0])):
+        solid.apply_transform(trimesh.transformations.rotation_matrix(turn, axis))
     return _rounded(solid, edge_radius)
 
 
