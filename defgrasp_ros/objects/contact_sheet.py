@@ -17,7 +17,7 @@ COLORS = {
     "food": np.array([0.86, 0.68, 0.44]),
     "organ": np.array([0.8, 0.52, 0.5]),
 }
-COLUMNS, PANEL, CAPTION, HEAD = 8, 1.5, 0.36, 0.55
+COLUMNS, PANEL, CAPTION, HEAD = 8, 1.5, 0.42, 0.55
 """Layout [inch]."""
 PIXELS, SUPERSAMPLING, DPI = 225, 3, 150
 AZIMUTH, ELEVATION = math.radians(-55.0), math.radians(28.0)
@@ -44,7 +44,7 @@ def draw_objects(path: Path | str, objects: Sequence[LibraryObject]) -> None:
         sides = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(vertices, axis=0))
         at = {"transform": axes.transAxes, "ha": "center", "va": "top", "parse_math": False}
         axes.text(0.5, 0.03, entry.name, fontsize=8, weight="bold", **at)
-        axes.text(0.5, -0.07, f"{sides} mm, {entry.material.name}", fontsize=5.5, color="#3c4043", **at)
+        axes.text(0.5, -0.07, f"{sides} mm\n{entry.material.name}", fontsize=5.5, color="#3c4043", **at)
     title = f"{len(objects)} objects: " + ", ".join(COLORS)
     figure.text(0.1 / width, 1.0 - 0.26 / height, title, fontsize=12, weight="bold", va="center")
     figure.savefig(path, format="png")
