@@ -1,4 +1,4 @@
-"""The ``defgrasp`` command: objects, grasps and their evaluation without ROS."""
+"""The ``defgrasp`` command: objects, grasps and their evaluation without ROS, and validation of the simulation."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ DEFAULTS = ev.EvaluationOptions()
 
 @app.callback()
 def _defgrasp() -> None:
-    """Simulate how grasps of a deformable object turn out."""
+    """Simulate how grasps of a deformable object turn out, and show how right that is."""
 
 
 @app.command()
@@ -133,6 +133,45 @@ def evaluate(
     screen.print(", ".join(f"{count} {name}" for name, count in counts.most_common()))
 
 
+@app.command()
+def validate(
+    quick: Annotated[bool, typer.Option("--quick", help="Only the cases that take a minute together")] = False,
+    device: Annotated[str, typer.Option(help="cpu or cuda:0")] = "cpu",
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON document on standard output, and nothing else")
+    ] = False,
+) -> None:
+    """Measure what has a known answer, and compare; exit status 1 if a case is beyond its tolerance."""
+    import warp as wp
+
+    from defgrasp_ros.simulation.simulator import find_device
+    from defgrasp_ros.validation.report import case_document, case_table
+    from defgrasp_ros.validation.suite import experiments, run
+
+    console = Console(stderr=True)
+    find_device(device)
+    cuda = wp.is_cuda_available()
+    if not cuda:
+        console.print("no CUDA device: CPU and CUDA are not compared", highlight=False)
+    chosen, cases = experiments(quick=quick, cuda=cuda), []
+    with _bar(console) as progress:
+        task = progress.add_task(chosen[0].name, total=len(chosen))
+        for count, (_, measured) in enumerate(run(chosen, device), start=1):
+            cases += measured
+            following = chosen[count].name if count < len(chosen) else "done"
+            progress.update(task, completed=count, description=following)
+    failed = sum(not case.passed for case in cases)
+    if as_json:
+        json.dump(case_document(cases), sys.stdout, allow_nan=False)
+        sys.stdout.write("\n")
+    else:
+        screen = Console(width=None if sys.stdout.isatty() else 200)
+        screen.print(case_table(cases))
+        screen.print(f"{len(cases)} cases, {failed} failed")
+    if failed:
+        raise typer.Exit(1)
+
+
 def _chosen(grasps: list, indices: str | None) -> tuple[list[int], list]:
     """The grasps of the given rows, and the rows."""
     if indices is None:
@@ -160,14 +199,19 @@ def _write(
     console.print(f"wrote {output / 'evaluations.json'} and {output / 'evaluations.png'}")
 
 
+def _bar(console: Console) -> Progress:
+    """A line that shows how far something is, and vanishes at the end."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=console, transient=True)
+
+
 class ProgressBar(ev.EvaluationObserver):
     """Shows how far a run is."""
 
     sample_interval = float("inf")
 
     def __init__(self, console: Console, grasp_count: int):
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-        self._progress = Progress(*columns, console=console, transient=True)
+        self._progress = _bar(console)
         self._task = self._progress.add_task(f"{grasp_count} grasps", total=1.0)
         self._grasp_count = grasp_count
 

@@ -151,7 +151,7 @@ def test_normals_follow_the_fillet():
 def test_points_are_listed_once_in_order():
     """Keys ascend, so each occurs once; no two points of a body nearly coincide."""
     block, _ = squeezed(ROUNDED, box(EXTENTS, (6, 4, 6)), 1.0, *SPOTS["turned"])
-    lists = block._contacts.lists
+    lists = block._shards[0].contacts.lists
     count = lists.count.numpy()[0]
     keys, bodies = lists.key.numpy()[0, :count], lists.body.numpy()[0, :count]
     assert count > 10 and (np.diff(keys) > 0).all()

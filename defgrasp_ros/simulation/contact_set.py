@@ -22,8 +22,10 @@ INITIAL_CAPACITY = 32
 """Contact points per world; grows in steps of this."""
 MARGIN = 1e-2
 """Gap below which a point becomes a candidate, relative to the mean surface edge [-]."""
-PENETRATION = 1e-5
+PENETRATION = 5e-5
 """Depth of an unlisted point that makes a step look for contacts again, relative to the object's size [-]."""
+TIE = 1e-5
+"""Difference of gaps that does not decide between two points, relative to the object\'s size [-]."""
 CONTACT_FIELDS = ("key", "body", "nodes", "weights", "frame", "plane", "axis", "force")
 
 
@@ -67,6 +69,7 @@ class ContactSet:
         )
         self._proposed = self._contact_list(faces.BODY_COUNT * worlds, capacity)
         self._proposed_gap = wp.zeros((faces.BODY_COUNT * worlds, capacity), dtype=wp.float64, device=device)
+        self._owned = wp.zeros((faces.BODY_COUNT * worlds, capacity), dtype=int, device=device)
         self._gap = wp.zeros((worlds, capacity), dtype=wp.float64, device=device)
         self._force = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
         self._motion = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
@@ -138,6 +141,8 @@ class ContactSet:
         while True:
             needed = self._propose(scene, rows, self._proposed, self._proposed_gap)
             if needed <= self.capacity:
+                inputs = [scene, rows, self.lists, self._proposed, self._proposed_gap]
+                self._launch(detection.drop_dependent, (rows.shape[0], faces.BODY_COUNT), inputs, [self._owned])
                 inputs = [self._proposed, self._proposed_gap, rows]
                 self._launch(detection.join_bodies, rows.shape[0], inputs, [self._found, self._gap])
                 needed = int(self._found.count.numpy()[rows.numpy()].max(initial=0))
@@ -169,7 +174,7 @@ class ContactSet:
         scene, model = detection.Scene(), self._model
         scene.surface, scene.faces, scene.bodies = model.surface, model.faces, self._state.bodies
         scene.rest, scene.displacement = model.vertices, displacement
-        scene.margin, scene.tie = margin, self._penetration
+        scene.margin, scene.tie = margin, TIE * model.size
         scene.normal, scene.places = self._normal, self._places
         return scene
 
@@ -188,7 +193,7 @@ class ContactSet:
 
     def _carry_forces(self, rows: wp.array, stale: wp.array) -> None:
         scene = self._scene(self._state.displacement, self._margin)
-        inputs = [scene, rows, self.lists, self._gap, self._penetration]
+        inputs = [scene, rows, self.lists, self._gap]
         self._launch(detection.carry_forces, rows.shape[0], inputs, [self._found, stale, self._missing])
 
     # --- compliance ---------------------------------------------------------------------------------------------

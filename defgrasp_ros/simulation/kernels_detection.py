@@ -13,7 +13,10 @@ edge over the flat part has up to two points, where it leaves it, and each may l
 has its minimum. A triangle has up to four, one for each corner of the flat part. With sharp edges these are
 the crossings of edges with the outline and the outline's corners.
 
-Points that nearly coincide would make the contact problem singular; of those the one with the smallest gap stays.
+Points that depend on each other would make the contact problem singular. Of points that nearly coincide the one with
+the smallest gap stays. Where a flat face ends inside triangles, about two edges cross its outline for each node beyond
+it: where the nodes inside touch, keeping one of these points out of the face keeps them all out. So every point on
+the flat part must bring in a node of its own, see ``drop_dependent``.
 """
 
 import warp as wp
@@ -43,6 +46,16 @@ wp.set_module_options({"enable_backward": False})
 
 SAME_POINT = wp.constant(wp.float64(0.1))
 """Points whose weights differ by less than this at every node are one."""
+FLAT = wp.constant(wp.float64(0.99))
+"""Component of the contact normal along the face's normal above which a point counts as on the flat part."""
+DEPTH_IN_EDGE = wp.constant(wp.float64(5e-4))
+"""Depth at which a point counts as inside a body, relative to its edge [-], where the margin asks for more: a fine mesh
+is there to resolve a fine pressure, and on a coarse one every point more depends on others."""
+EXACTLY_FLAT = wp.constant(wp.float64(1.0 - 1e-12))
+LOADED_FIRST = wp.constant(wp.float64(1e6))
+"""Larger than any depth [m]: puts points that carry force before the others."""
+NO_NODE = -1
+UNDECIDED = -2
 KEPT_SHIFT = wp.constant(wp.float64(0.02))
 """A point found again with weights that changed by less than this stays where it was in the material."""
 KEPT_TILT = wp.constant(wp.float64(1e-3))
@@ -96,7 +109,7 @@ class Scene:
     rest: wp.array[vec3d]  # (node,) [m]
     displacement: wp.array2d[vec3d]  # (world, node) [m]
     normal: wp.array2d[vec3d]  # (world, node): outward
-    margin: wp.float64  # gap below which a point is a candidate [m]
+    margin: wp.float64  # gap below which a point is a candidate [m]; see DEPTH_IN_EDGE if negative
     tie: wp.float64  # difference of gaps that does not count [m]
     places: wp.array2d[int]  # (world, node): bits that tell where a node lies relative to each body
 
@@ -283,7 +296,12 @@ def propose(
     outward_here = scene.bodies.frame[world, body] * candidate.outward
     gap = p[2] + h[0]
     distance = gap / wp.sqrt(wp.float64(1.0) + h[1] * h[1] + h[2] * h[2])
-    if distance > scene.margin or gap < -scene.faces.depth[body]:
+    margin = scene.margin
+    if margin < wp.float64(0.0):
+        edge = wp.length(scene.rest[candidate.nodes[0]] - scene.rest[candidate.nodes[1]])
+        if edge > wp.float64(0.0):
+            margin = wp.max(margin, -DEPTH_IN_EDGE * edge)
+    if distance > margin or gap < -scene.faces.depth[body]:
         return count
     if outward_here[0] + h[1] * outward_here[1] + h[2] * outward_here[2] >= wp.float64(0.0):
         return count
@@ -551,6 +569,95 @@ def propose_contacts(
     proposed.count[row] = count
 
 
+@wp.func
+def is_flat(contacts: ContactList, row: int, c: int) -> bool:
+    """Whether a candidate lies on the flat part of a face, or nearly so."""
+    return contacts.key[row, c] >= 0 and contacts.axis[row, c][0] > FLAT
+
+
+@wp.func
+def is_taken(contacts: ContactList, owned: wp.array2d[int], row: int, count: int, node: int) -> bool:
+    """Whether a node is a candidate itself, on the flat part, or belongs to a point that stays."""
+    for c in range(count):
+        if owned[row, c] == node:
+            return True
+        nodes = contacts.nodes[row, c]
+        if nodes[0] == node and nodes[1] == node and contacts.key[row, c] >= 0:
+            # A node beyond the flat part does not speak for it, however little the fillet has dropped there.
+            return contacts.axis[row, c][0] > EXACTLY_FLAT
+    return False
+
+
+@wp.func
+def listed_force(contacts: ContactList, world: int, key: int) -> wp.float64:
+    """Normal force of the entry with this key in a sorted list [N], -1 where there is none."""
+    low = int(0)
+    high = int(contacts.count[world])
+    while low < high:
+        middle = (low + high) // 2
+        if contacts.key[world, middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    if low < contacts.count[world] and contacts.key[world, low] == key:
+        return contacts.force[world, low][0]
+    return wp.float64(-1.0)
+
+
+@wp.kernel
+def drop_dependent(
+    scene: Scene,
+    worlds: wp.array[int],  # (row,)
+    listed: ContactList,
+    # In and out:
+    proposed: ContactList,  # row: body + BODY_COUNT * row of worlds
+    gaps: wp.array2d[wp.float64],  # along the normal of the face [m]
+    # Out:
+    owned: wp.array2d[int],  # the node that each point on an edge or in a triangle brings in
+):
+    """Give each point on the flat part a node of its own, those with the smallest gap first; drop what gets none.
+
+    Points that carry force go first, and stay in any case, so that the choice does not alternate from step to step;
+    then those that are listed already, unless others are deeper by more than a tie.
+    """
+    i, body = wp.tid()
+    w = worlds[i]
+    row = wp.static(BODY_COUNT) * i + body
+    count = wp.min(proposed.count[row], proposed.key.shape[1])
+    for c in range(count):
+        owned[row, c] = wp.static(NO_NODE)
+        nodes = proposed.nodes[row, c]
+        if nodes[0] != nodes[1] and is_flat(proposed, row, c):
+            owned[row, c] = wp.static(UNDECIDED)
+    while True:
+        best = int(-1)
+        smallest = wp.float64(0.0)
+        for c in range(count):
+            if owned[row, c] == wp.static(UNDECIDED):
+                gap = gaps[row, c]
+                force = listed_force(listed, w, proposed.key[row, c])
+                if force > wp.float64(0.0):
+                    gap = -LOADED_FIRST - force
+                elif force == wp.float64(0.0):
+                    gap -= scene.tie
+                if best < 0 or gap < smallest:
+                    best = c
+                    smallest = gap
+        if best < 0:
+            break
+        own = int(-1)
+        largest = SAME_POINT + wp.float64(0.0)
+        for k in range(3):
+            node = proposed.nodes[row, best][k]
+            weight = weight_of(node, proposed.nodes[row, best], proposed.weights[row, best])
+            if weight > largest and not is_taken(proposed, owned, row, count, node):
+                own = node
+                largest = weight
+        owned[row, best] = own
+        if own == wp.static(NO_NODE) and smallest > -LOADED_FIRST:
+            proposed.key[row, best] = -1
+
+
 @wp.kernel
 def join_bodies(
     proposed: ContactList,
@@ -581,12 +688,11 @@ def carry_forces(
     worlds: wp.array[int],  # (row,)
     former: ContactList,
     found_gap: wp.array2d[wp.float64],  # (world, contact): along the normal of the face [m]
-    penetration: wp.float64,  # [m]
     # In and out:
     found: ContactList,
     # Out:
     compliance_is_stale: wp.array[int],  # (world,): set where the points changed
-    missing_out: wp.array[int],  # (row,): unlisted points deeper than the penetration
+    missing_out: wp.array[int],  # (row,): unlisted points inside a body
 ):
     """Give points found again their force and their place in the material; both lists are sorted by key."""
     i = wp.tid()
@@ -610,7 +716,7 @@ def carry_forces(
                 touch(scene, w, body, x, to_face(scene.bodies, w, body, x), found, w, c)
                 if wp.max(wp.abs(found.axis[w, c] - former.axis[w, k])) < KEPT_TILT:
                     same += 1
-        elif found.axis[w, c][0] * found_gap[w, c] < -penetration:
+        elif found_gap[w, c] < wp.float64(0.0):
             missing += 1
     if same != found.count[w] or found.count[w] != former.count[w]:
         compliance_is_stale[w] = 1

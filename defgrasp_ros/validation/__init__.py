@@ -1,0 +1,1 @@
+"""Experiments with known answers that show how right the simulation is; ``defgrasp validate`` runs them."""
