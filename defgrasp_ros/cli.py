@@ -1,10 +1,11 @@
-"""The ``defgrasp`` command: evaluate grasps without ROS, and validate the simulation."""
+"""The ``defgrasp`` command: objects, grasps and their evaluation without ROS, and validation of the simulation."""
 
 from __future__ import annotations
 
 import json
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -14,9 +15,21 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from defgrasp_ros import evaluation as ev
+from defgrasp_ros.commands.grippers import grippers
+from defgrasp_ros.commands.mesh import mesh
+from defgrasp_ros.commands.object_argument import (
+    EdgeLength,
+    EdgeRadius,
+    ObjectArgument,
+    Scale,
+    WallThickness,
+    prepared_object,
+)
+from defgrasp_ros.commands.objects import objects
+from defgrasp_ros.commands.sample import sample
 from defgrasp_ros.errors import DefgraspError, InvalidGraspError
 from defgrasp_ros.gripper import DEFAULT_GRIPPER, load_gripper
-from defgrasp_ros.material import Material
+from defgrasp_ros.material_library import find_material
 from defgrasp_ros.object_model import ObjectModel
 
 app = typer.Typer(
@@ -25,8 +38,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # brackets in the help are units
 )
+app.command()(grippers)
+app.command()(mesh)
+app.command()(objects)
+app.command()(sample)
 DEFAULTS = ev.EvaluationOptions()
-MATERIAL = Material()
 
 
 @app.callback()
@@ -36,17 +52,22 @@ def _defgrasp() -> None:
 
 @app.command()
 def evaluate(
-    object_file: Annotated[Path, typer.Argument(metavar="OBJECT", help="Mesh: .tet, .msh, .stl, .obj, .ply or .off")],
+    object: ObjectArgument,
     grasps: Annotated[Path, typer.Option(help="Grasp poses: .json in our frame, or .h5 of DefGraspSim")],
-    youngs_modulus: Annotated[float, typer.Option(help="Young's modulus [Pa]")] = MATERIAL.youngs_modulus,
-    poissons_ratio: Annotated[float, typer.Option(help="Poisson's ratio [-]")] = MATERIAL.poissons_ratio,
-    density: Annotated[float, typer.Option(help="Density [kg/m^3]")] = MATERIAL.density,
-    friction: Annotated[float, typer.Option(help="Coulomb friction coefficient [-]")] = MATERIAL.friction_coefficient,
-    grasp_indices: Annotated[str | None, typer.Option(help="Rows of the grasp file to evaluate, as 0,3,7")] = None,
-    scale: Annotated[float, typer.Option(help="Factor on the mesh's coordinates; 0.001 for millimetres")] = 1.0,
-    edge_length: Annotated[
-        float | None, typer.Option(help="Target edge of the tetrahedra of a surface mesh [m]")
+    material: Annotated[
+        str | None, typer.Option(help="Material of `defgrasp objects --materials`; default: the object's own")
     ] = None,
+    youngs_modulus: Annotated[
+        float | None, typer.Option(help="Young's modulus [Pa], in place of the material's")
+    ] = None,
+    poissons_ratio: Annotated[float | None, typer.Option(help="Poisson's ratio [-]")] = None,
+    density: Annotated[float | None, typer.Option(help="Density [kg/m^3]")] = None,
+    friction: Annotated[float | None, typer.Option(help="Coulomb friction coefficient [-]")] = None,
+    grasp_indices: Annotated[str | None, typer.Option(help="Rows of the grasp file to evaluate, as 0,3,7")] = None,
+    scale: Scale = 1.0,
+    edge_length: EdgeLength = None,
+    wall_thickness: WallThickness = None,
+    edge_radius: EdgeRadius = None,
     element_order: Annotated[
         int, typer.Option(help="1: tetrahedra of four nodes; 2: of ten, which do not lock in bending")
     ] = 1,
@@ -65,11 +86,16 @@ def evaluate(
     """Squeeze and pick up OBJECT with every grasp; report features, metrics and why a grasp failed."""
     from defgrasp_ros.experiments import evaluate_grasps
     from defgrasp_ros.grasp_files import read_grasps
-    from defgrasp_ros.mesh.mesh_files import read_mesh
     from defgrasp_ros.report import document, evaluation_table, material_text
 
     console = Console(stderr=True)
-    material = Material(youngs_modulus, poissons_ratio, density, friction)
+    values = {
+        "youngs_modulus": youngs_modulus,
+        "poissons_ratio": poissons_ratio,
+        "density": density,
+        "friction_coefficient": friction,
+    }
+    given = {name: value for name, value in values.items() if value is not None}
     options = ev.EvaluationOptions(
         force_safety_factor=safety_factor,
         pickup_hold_time=hold_time,
@@ -78,13 +104,14 @@ def evaluate(
     )
     hand = load_gripper(gripper)
     indices, chosen = _chosen(read_grasps(grasps), grasp_indices)
-    mesh = read_mesh(object_file, scale=scale, target_edge_length=edge_length, element_order=element_order)
-    model = ObjectModel(object_file.stem, mesh, material)
+    name, prepared, own = prepared_object(object, scale, edge_length, wall_thickness, edge_radius, element_order)
+    substance = replace(find_material(material).material if material else own, **given)
+    model = ObjectModel(name, prepared.logged(), substance)
     console.print(
         f"{model.name}: {len(model.mesh.vertices)} nodes, {len(model.mesh.tetrahedra)} tetrahedra, "
         f"{1e3 * model.mass:.1f} g"
     )
-    console.print(material_text(material))
+    console.print(material_text(substance))
     with ProgressBar(console, len(chosen)) as bar:
         evaluations = evaluate_grasps(model, chosen, hand, options, device, bar)
     for index, evaluation in zip(indices, evaluations, strict=True):

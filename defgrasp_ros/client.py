@@ -19,11 +19,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
+from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import rclpy
 from defgrasp_interfaces.msg import EvaluationRequest, EvaluatorStatus, ExperimentOptions, Result
-from defgrasp_interfaces.srv import EvaluateGrasp
+from defgrasp_interfaces.srv import EvaluateGrasp, ListObjects, RegisterObject, RemoveObject, SampleGrasps
+from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -33,12 +35,25 @@ from defgrasp_ros.errors import DefgraspError, ResultCode
 from defgrasp_ros.evaluation import EvaluationOptions, GraspEvaluation, Phase, Progress
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.material import Material
-from defgrasp_ros.ros.object_source import MeshData, MeshFile, ObjectSource, Surface
-from defgrasp_ros.ros.request_conversion import grasp_to_message, object_to_message, options_to_message
+from defgrasp_ros.ros.object_source import MeshData, MeshFile, ObjectSource, RegisteredObject, Surface
+from defgrasp_ros.ros.request_conversion import (
+    grasp_from_message,
+    grasp_to_message,
+    object_to_message,
+    options_to_message,
+)
 from defgrasp_ros.ros.result_conversion import evaluation_from_message
 from defgrasp_ros.ros.topics import STATUS, qos_profile
 
-__all__ = ["EvaluationAnswer", "EvaluatorGoneError", "GraspEvaluatorClient", "MeshData", "MeshFile", "Surface"]
+__all__ = [
+    "EvaluationAnswer",
+    "EvaluatorGoneError",
+    "GraspEvaluatorClient",
+    "MeshData",
+    "MeshFile",
+    "RegisteredObject",
+    "Surface",
+]
 
 DEFAULT_EVALUATOR = "/defgrasp_evaluator"
 
@@ -76,6 +91,8 @@ class GraspEvaluatorClient:
         self._context = Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node(node_name, context=self._context)
+        self._evaluator = evaluator
+        self._clients: dict[str, Client] = {}
         self._service = self._node.create_client(EvaluateGrasp, f"{evaluator}/evaluate_grasp")
         self._on_progress: Callable[[Progress], None] | None = None
         status_topic = STATUS.name.replace("~", evaluator)
@@ -119,7 +136,8 @@ class GraspEvaluatorClient:
         A grasp that fails is no exception: its evaluation has the code and the reason.
 
         Args:
-            source: Shape of the object: ``MeshFile``, ``MeshData``, ``Surface`` or ``TetMesh``.
+            source: Shape of the object: ``MeshFile``, ``MeshData``, ``Surface``, ``TetMesh`` or
+                ``RegisteredObject``.
             material: Its material.
             grasps: Candidates, in the object frame.
             object_name: Name of the object in status and logs.
@@ -166,18 +184,110 @@ class GraspEvaluatorClient:
             EvaluatorGoneError: If no evaluator is there, or it ends before it answers.
             TimeoutError: If the time is up.
         """
+        return self._ask(self._service, EvaluateGrasp.Request(request=request), timeout)
+
+    def register_object(
+        self,
+        source: ObjectSource,
+        material: Material,
+        name: str,
+        *,
+        replace: bool = False,
+        timeout: float | None = None,
+    ) -> RegisterObject.Response:
+        """Let the evaluator read, mend and mesh an object once; requests then name it by ``RegisteredObject(name)``.
+
+        Args:
+            source: Shape of the object.
+            material: Its material; gives mass and default target force of the answer.
+            name: Name under which it is kept.
+            replace: Whether an object of that name is replaced.
+            timeout: Longest time to wait for the answer [s].
+
+        Returns:
+            Size, mass and quality of the mesh, what was mended and what may be wrong.
+
+        Raises:
+            EvaluatorGoneError: If no evaluator is there, or it ends before it answers.
+            TimeoutError: If the time is up.
+            DefgraspError: If it is refused: the class of ``defgrasp_ros.errors`` with the evaluator's code.
+        """
+        message = object_to_message(source, material, name)
+        request = RegisterObject.Request(object=message, object_id=name, replace=replace)
+        return self._accepted(RegisterObject, "register_object", request, timeout)
+
+    def list_objects(self, timeout: float | None = None) -> ListObjects.Response:
+        """Return the names of the registered objects and of those of the library; errors as of ``register_object``."""
+        return self._accepted(ListObjects, "list_objects", ListObjects.Request(), timeout)
+
+    def remove_object(self, name: str, timeout: float | None = None) -> None:
+        """Let the evaluator forget a registered object; errors as of ``register_object``."""
+        self._accepted(RemoveObject, "remove_object", RemoveObject.Request(object_id=name), timeout)
+
+    def sample_grasps(
+        self,
+        name: str,
+        count: int = 50,
+        *,
+        gripper: str = "",
+        sampler: str = "",
+        max_angle: float = 0.0,
+        standoff: float = 0.0,
+        seed: int = 0,
+        timeout: float | None = None,
+    ) -> list[Grasp]:
+        """Return candidate grasps for a registered object or one of the library.
+
+        Args:
+            name: Of the object.
+            count: How many; fewer are returned where there are no more.
+            gripper: Name of a gripper; empty: the evaluator's.
+            sampler: antipodal, surface, uniform, grid or polar; empty: antipodal.
+            max_angle: Antipodal: largest angle of contact normals and closing axis [rad]; 0: the evaluator's default.
+            standoff: Antipodal: how far the grasp frame stays behind the middle of the contacts [m].
+            seed: Equal seeds give equal grasps.
+            timeout: Longest time to wait for the answer [s].
+
+        Raises:
+            EvaluatorGoneError: If no evaluator is there, or it ends before it answers.
+            TimeoutError: If the time is up.
+            DefgraspError: If there is no such object, or no grasp: the class of ``defgrasp_ros.errors``.
+        """
+        request = SampleGrasps.Request(
+            object_id=name,
+            count=count,
+            gripper=gripper,
+            sampler=sampler,
+            max_angle=max_angle,
+            standoff=standoff,
+            seed=seed,
+        )
+        response = self._accepted(SampleGrasps, "sample_grasps", request, timeout)
+        return [grasp_from_message(message) for message in response.grasps]
+
+    def _accepted(self, kind: type, name: str, request: object, timeout: float | None) -> Any:
+        """Call a service of the evaluator and return its answer; raise if it is a refusal."""
+        if name not in self._clients:
+            self._clients[name] = self._node.create_client(kind, f"{self._evaluator}/{name}")
+        response = self._ask(self._clients[name], request, timeout)
+        if response.result.code != ResultCode.OK:
+            raise refusal(response.result)
+        return response
+
+    def _ask(self, service: Client, request: object, timeout: float | None) -> Any:
         self.wait_until_ready()
+        service.wait_for_service(LIVELINESS_INTERVAL)  # discovered a moment after the first one
         answered = Event()
-        future = self._service.call_async(EvaluateGrasp.Request(request=request))
+        future = service.call_async(request)
         future.add_done_callback(lambda _: answered.set())
         deadline = time.monotonic() + (math.inf if timeout is None else timeout)
         while not answered.wait(min(LIVELINESS_INTERVAL, max(0.0, deadline - time.monotonic()))):
             is_gone = not self._service.service_is_ready()
             if is_gone or time.monotonic() >= deadline:
-                self._service.remove_pending_request(future)
+                service.remove_pending_request(future)
                 if is_gone:
-                    raise EvaluatorGoneError(f"{self._service.srv_name}: the evaluator ended before it answered")
-                raise TimeoutError(f"{self._service.srv_name}: no answer after {timeout:g} s")
+                    raise EvaluatorGoneError(f"{service.srv_name}: the evaluator ended before it answered")
+                raise TimeoutError(f"{service.srv_name}: no answer after {timeout:g} s")
         return future.result()
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
 """Reads and writes files of candidate grasps.
 
-Two formats are read. JSON holds poses of the grasp frame as ``grasp.py`` defines it. HDF5 is the format of
+There are two formats. JSON holds poses of the grasp frame as ``grasp.py`` defines it. HDF5 is the format of
 DefGraspSim, with another frame and another order of the quaternion; it is converted here and nowhere else.
 """
 
@@ -19,6 +19,9 @@ from defgrasp_ros.gripper import load_gripper
 
 HDF5_GRIPPER = "franka_hand"
 """The hand whose base frame the poses of a DefGraspSim file belong to."""
+
+TURN_TO_OUR_FRAME = Rotation.from_euler("z", 90.0, degrees=True)
+"""From the original's axes to ours."""
 
 GRASP_KEYS = ("id", "position", "orientation", "target_force")
 REQUIRED_KEYS = ("position", "orientation")
@@ -54,17 +57,37 @@ def read_grasps(path: Path | str) -> list[Grasp]:
 
 
 def write_grasps(path: Path | str, grasps: Iterable[Grasp]) -> None:
-    """Write grasps to a JSON file from which ``read_grasps`` gets them back.
+    """Write grasps to a file from which ``read_grasps`` gets them back.
 
-    Numbers survive to the bit, except that normalising a quaternion again may change its last one.
+    In JSON, numbers survive to the bit, except that normalising a quaternion again may change its last one. The
+    HDF5 format of DefGraspSim holds nothing but poses: ids become row numbers, target forces are lost.
+
+    Raises:
+        InvalidGraspError: If the extension is neither ``.json`` nor ``.h5`` nor ``.hdf5``.
     """
+    path = Path(path)
+    writers = {".json": _write_json, ".h5": _write_hdf5, ".hdf5": _write_hdf5}
+    if path.suffix.lower() not in writers:
+        raise InvalidGraspError(f"{path}: extension '{path.suffix}' is unknown; known: {', '.join(writers)}")
+    writers[path.suffix.lower()](path, grasps)
+
+
+def _write_json(path: Path, grasps: Iterable[Grasp]) -> None:
     entries = []
     for grasp in grasps:
         entry = {"id": grasp.id, "position": grasp.position.tolist(), "orientation": grasp.orientation.tolist()}
         if grasp.target_force is not None:
             entry["target_force"] = grasp.target_force
         entries.append(entry)
-    Path(path).write_text(json.dumps({"grasps": entries}, indent=2) + "\n")
+    path.write_text(json.dumps({"grasps": entries}, indent=2) + "\n")
+
+
+def _write_hdf5(path: Path, grasps: Iterable[Grasp]) -> None:
+    import h5py
+
+    poses = np.array([pose_of_defgraspsim(grasp) for grasp in grasps]).reshape(-1, 7)
+    with h5py.File(path, "w") as file:
+        file.create_dataset("poses", data=poses, compression="gzip")
 
 
 def grasp_from_defgraspsim(pose: np.ndarray, id: str = "") -> Grasp:
@@ -91,9 +114,22 @@ def grasp_from_defgraspsim(pose: np.ndarray, id: str = "") -> Grasp:
     approach = hand.as_matrix()[:, 2]
     return Grasp(
         position=pose[:3] + load_gripper(HDF5_GRIPPER).hand_to_tcp * approach,
-        orientation=(hand * Rotation.from_euler("z", 90.0, degrees=True)).as_quat(),
+        orientation=(hand * TURN_TO_OUR_FRAME).as_quat(),
         id=id,
     )
+
+
+def pose_of_defgraspsim(grasp: Grasp) -> np.ndarray:
+    """Return a grasp as a pose of DefGraspSim, the inverse of ``grasp_from_defgraspsim``.
+
+    The origin is the base of the Franka hand, for which the format is made, whatever the gripper is.
+
+    Returns:
+        Position x y z [m] and quaternion w x y z, scalar first, in the object frame, shape ``(7,)``.
+    """
+    base = grasp.position - load_gripper(HDF5_GRIPPER).hand_to_tcp * grasp.rotation[:, 2]
+    hand = Rotation.from_quat(grasp.orientation) * TURN_TO_OUR_FRAME.inv()
+    return np.concatenate([base, hand.as_quat(scalar_first=True)])
 
 
 def _read_hdf5(path: Path) -> list[Grasp]:

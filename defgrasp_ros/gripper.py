@@ -59,6 +59,8 @@ class Gripper:
         side_fillet: Radius along both long edges of a pad [m]; 0: sharp.
         tip_fillet: Radius at the distal end of a pad [m]; 0: sharp.
         palm: The palm, or None if nothing shall touch it.
+        hand_mass: Mass without the fingers [kg].
+        finger_mass: Mass of each finger [kg].
     """
 
     name: str
@@ -74,6 +76,8 @@ class Gripper:
     side_fillet: float = 0.0
     tip_fillet: float = 0.0
     palm: Palm | None = None
+    hand_mass: float = 0.73
+    finger_mass: float = 0.015
 
     def __post_init__(self) -> None:
         check = require_in_range
@@ -88,6 +92,8 @@ class Gripper:
         check(error, "gripper.max_force", self.max_force, 0.0, 1e5, low_open=True, unit="N")
         check(error, "gripper.hand_to_tcp", self.hand_to_tcp, 0.0, 1.0, unit="m")
         check(error, "gripper.closing_speed", self.closing_speed, 0.0, 10.0, low_open=True, unit="m/s")
+        check(error, "gripper.hand_mass", self.hand_mass, 0.0, 1e3, low_open=True, unit="kg")
+        check(error, "gripper.finger_mass", self.finger_mass, 0.0, 1e3, low_open=True, unit="kg")
         if self.palm:
             check(error, "gripper.palm.face", self.palm.face, -self.hand_to_tcp, self.pad_top, unit="m")
 
@@ -107,6 +113,11 @@ class Gripper:
         return side + self.tip_fillet - np.sqrt(self.tip_fillet**2 - along**2)
 
 
+def gripper_names() -> list[str]:
+    """Return the names of the descriptions in ``config/grippers``."""
+    return sorted(path.stem for path in config_file(f"grippers/{DEFAULT_GRIPPER}.yaml").parent.glob("*.yaml"))
+
+
 def load_gripper(name: str = DEFAULT_GRIPPER) -> Gripper:
     """Read a gripper from ``config/grippers/<name>.yaml``.
 
@@ -115,9 +126,8 @@ def load_gripper(name: str = DEFAULT_GRIPPER) -> Gripper:
         InvalidOptionsError: If a value in the file is missing, unknown or outside its range.
     """
     path = config_file(f"grippers/{name}.yaml")
-    if not path.is_file():
-        known = sorted(p.stem for p in path.parent.glob("*.yaml"))
-        raise NotFoundError(f"gripper '{name}' is unknown; known: {', '.join(known)}")
+    if name not in gripper_names():
+        raise NotFoundError(f"gripper '{name}' is unknown; known: {', '.join(gripper_names())}")
     values: dict[str, Any] = yaml.safe_load(path.read_text())
     try:
         palm = values.pop("palm", None)

@@ -102,7 +102,7 @@ def test_output_folder_holds_document_and_picture(block, grasps, tmp_path):
         (["--hold-time", "-1"], "INVALID_OPTIONS: options.pickup_hold_time = -1 s"),
         (["--grasp-indices", "9"], "row 9 does not exist; the file has rows 0 to 2"),
         (["--grasp-indices", "a"], "is not a list of row numbers"),
-        (["--gripper", "claw"], "NOT_FOUND: gripper 'claw' is unknown; known: franka_hand"),
+        (["--gripper", "claw"], "NOT_FOUND: gripper 'claw' is unknown; known: franka_hand, robotiq_2f_85, round_pads"),
         (["--device", "cuda:77"], "NOT_FOUND: device = 'cuda:77' is not available"),
     ],
 )

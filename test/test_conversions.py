@@ -40,7 +40,8 @@ msg = pytest.importorskip("defgrasp_interfaces.msg", reason="the message definit
 pytest.importorskip("rclpy")
 
 from defgrasp_ros.ros.fields import time_message  # noqa: E402
-from defgrasp_ros.ros.object_source import MeshData, MeshFile, Surface  # noqa: E402
+from defgrasp_ros.ros.object_registry import ObjectRegistry  # noqa: E402
+from defgrasp_ros.ros.object_source import MeshData, MeshFile, RegisteredObject, Surface  # noqa: E402
 from defgrasp_ros.ros.parameters import EXPERIMENT, PARAMETERS, parameters_yaml  # noqa: E402
 from defgrasp_ros.ros.request_conversion import (  # noqa: E402
     grasp_from_message,
@@ -51,7 +52,6 @@ from defgrasp_ros.ros.request_conversion import (  # noqa: E402
     object_to_message,
     options_from_message,
     options_to_message,
-    path_of_uri,
 )
 from defgrasp_ros.ros.result_conversion import evaluation_from_message, evaluation_to_message  # noqa: E402
 from defgrasp_ros.ros.state_conversion import sample_to_contact_state, sample_to_joint_state  # noqa: E402
@@ -207,17 +207,24 @@ def test_impossible_scale_is_refused(scale: float) -> None:
         object_from_message(message, LIMIT)
 
 
-@pytest.mark.parametrize("uri", ["file:///a%20b.stl", "file://localhost/a b.stl"])
-def test_file_uri_is_decoded(uri: str) -> None:
-    """Percent signs are decoded, and the own machine may be named."""
-    assert path_of_uri(uri) == Path("/a b.stl")
+def test_registered_object_is_found_by_its_name() -> None:
+    """A request names a registered object, or one of the library; the material is the request's."""
+    registry = ObjectRegistry()
+    registry.add("brick", BLOCK)
+    message = object_to_message(RegisteredObject("brick"), Material(density=7.0))
+    model = object_from_message(message, LIMIT, registry=registry)
+    assert model.mesh is BLOCK and model.material.density == 7.0
+    cup = object_from_message(object_to_message(RegisteredObject("cup"), Material()), LIMIT)
+    assert len(cup.mesh.vertices) > 800
+    with pytest.raises(NotFoundError, match="'brick' is neither registered"):
+        object_from_message(message, LIMIT)
 
 
-@pytest.mark.parametrize("uri", ["a.stl", "/a.stl", "file://a.stl", "package://robot/a.stl", "http://host/a.stl"])
-def test_other_uri_is_refused(uri: str) -> None:
-    """Relative paths and other schemes are refused; the text says what to write."""
-    with pytest.raises(InvalidMeshError, match="file://"):
-        path_of_uri(uri)
+def test_files_outside_of_the_allowed_folders_are_refused(tmp_path: Path) -> None:
+    """The restriction holds for requests."""
+    message = object_to_message(MeshFile(tmp_path / "a.stl"), Material())
+    with pytest.raises(InvalidMeshError, match="object.uri.*mesh_directories"):
+        object_from_message(message, LIMIT, [tmp_path / "allowed"])
 
 
 def test_missing_file_is_not_found(tmp_path: Path) -> None:

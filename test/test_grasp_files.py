@@ -9,7 +9,7 @@ import trimesh
 
 from defgrasp_ros.errors import EmptyGraspListError, InvalidGraspError, NotFoundError
 from defgrasp_ros.grasp import Grasp
-from defgrasp_ros.grasp_files import grasp_from_defgraspsim, read_grasps, write_grasps
+from defgrasp_ros.grasp_files import grasp_from_defgraspsim, pose_of_defgraspsim, read_grasps, write_grasps
 from defgrasp_ros.mesh.mesh_files import read_mesh
 
 HALF = 0.5**0.5
@@ -81,6 +81,24 @@ def test_json_may_be_a_bare_list_without_ids(tmp_path):
     (grasp,) = read_grasps(path)
     assert grasp.id == "0" and grasp.target_force is None
     assert grasp.position.tolist() == [0.0, 0.0, 1.0]
+
+
+def test_defgraspsim_round_trip(tmp_path):
+    """Poses written in the original's layout are read back, and a file of the original is reproduced."""
+    rng = np.random.default_rng(1)
+    written = [Grasp(rng.normal(size=3), q / np.linalg.norm(q)) for q in rng.normal(size=(20, 4))]
+    write_grasps(tmp_path / "grasps.h5", written)
+    read = read_grasps(tmp_path / "grasps.h5")
+    np.testing.assert_allclose([g.position for g in read], [g.position for g in written], atol=1e-14)
+    np.testing.assert_allclose([g.rotation for g in read], [g.rotation for g in written], atol=1e-14)
+    pose = np.array([1.0, 2.0, 3.0, HALF, HALF, 0.0, 0.0])
+    np.testing.assert_allclose(pose_of_defgraspsim(grasp_from_defgraspsim(pose)), pose, atol=1e-14)
+
+
+def test_unknown_extension_is_not_written(tmp_path):
+    """The error names the extensions that are known."""
+    with pytest.raises(InvalidGraspError, match=r"\.txt.*\.json.*\.h5"):
+        write_grasps(tmp_path / "grasps.txt", [])
 
 
 VALID = {"position": [0.0, 0.0, 0.0], "orientation": IDENTITY}

@@ -29,6 +29,8 @@ def block():
 
 
 def as_surface(mesh, format):
+    if format == "gltf":
+        return trimesh.exchange.gltf.export_gltf(trimesh.Scene(mesh), embed_buffers=True)["model.gltf"]
     exported = mesh.export(file_type=format)
     return exported.encode() if isinstance(exported, str) else exported
 

@@ -5,9 +5,16 @@ import pytest
 import trimesh
 
 from defgrasp_ros.errors import InvalidMeshError, MeshTooLargeError, TetrahedralizationError
+from defgrasp_ros.mesh import cache
 from defgrasp_ros.mesh import tetrahedralize as module
 from defgrasp_ros.mesh.quality import dihedral_angles
 from defgrasp_ros.mesh.tetrahedralize import tetrahedralize
+
+
+@pytest.fixture(autouse=True)
+def empty_cache(tmp_path_factory, monkeypatch):
+    """No test finds what another one has made."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("empty")))
 
 
 @pytest.fixture(scope="module")
@@ -63,13 +70,10 @@ def test_edge_length_without_meaning_is_refused(block, edge_length):
         tetrahedralize(block.vertices, block.faces, target_edge_length=edge_length)
 
 
-def test_missing_volume_is_an_error():
-    """Two bodies that overlap count twice in the surface's volume; that is not passed over in silence."""
-    one, other = trimesh.creation.box([0.04] * 3), trimesh.creation.box([0.04] * 3)
-    other.apply_translation([0.02, 0.01, 0.0])
-    both = trimesh.util.concatenate([one, other])
+def test_missing_volume_is_an_error(block):
+    """Where the tetrahedra fill less than the solid, it is not passed over in silence."""
     with pytest.raises(TetrahedralizationError, match="overlaps itself"):
-        tetrahedralize(both.vertices, both.faces, target_edge_length=0.01)
+        tetrahedralize(block.vertices, block.faces, target_edge_length=0.015, volume=2.0 * block.volume)
 
 
 def test_mesher_that_takes_too_long_is_stopped(block, monkeypatch):
@@ -102,3 +106,18 @@ def test_mesher_leaves_no_trace(block, capfd, monkeypatch, tmp_path):
     captured = capfd.readouterr()
     assert captured.out == "" and captured.err == ""
     assert list(tmp_path.iterdir()) == []
+
+
+def test_meshes_are_cached(block, monkeypatch):
+    """The second time the mesher is not run, another surface or edge length is no hit, and a broken file is no harm."""
+    first = tetrahedralize(block.vertices, block.faces, target_edge_length=0.015)
+    monkeypatch.setattr(module, "WORKER", module.WORKER.with_name("no_worker.py"))
+    again = tetrahedralize(block.vertices, block.faces, target_edge_length=0.015)
+    assert np.array_equal(first.vertices, again.vertices) and np.array_equal(first.tetrahedra, again.tetrahedra)
+    for vertices, edge_length in ((block.vertices, 0.014), (block.vertices * 1.001, 0.015)):
+        with pytest.raises(TetrahedralizationError):
+            tetrahedralize(vertices, block.faces, target_edge_length=edge_length)
+    (kept,) = cache.cache_directory().glob("*.npz")
+    kept.write_bytes(kept.read_bytes()[:100])
+    with pytest.raises(TetrahedralizationError):
+        tetrahedralize(block.vertices, block.faces, target_edge_length=0.015)

@@ -1,9 +1,10 @@
-"""From triangles or ready tetrahedra to a mesh that can be simulated, with all checks on the way."""
+"""From triangles or ready tetrahedra to a mesh that can be simulated, with all checks and mends on the way."""
 
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -11,16 +12,25 @@ from scipy.sparse.csgraph import connected_components
 
 from defgrasp_ros.checks import require_in_range
 from defgrasp_ros.errors import InvalidMeshError, MeshTooLargeError
+from defgrasp_ros.mesh.overlap import enclosed_volume
 from defgrasp_ros.mesh.quality import dihedral_angles
-from defgrasp_ros.mesh.surface import closed_surface
+from defgrasp_ros.mesh.rounding import with_rounded_edges
+from defgrasp_ros.mesh.shell import shell_mesh
+from defgrasp_ros.mesh.surface import MENDS, closed_surface, open_surface
 from defgrasp_ros.mesh.tet_mesh import TetMesh
 from defgrasp_ros.mesh.tetrahedralize import MAX_TETRAHEDRA, tetrahedralize
+
+if TYPE_CHECKING:
+    import trimesh
 
 MIN_EXTENT, MAX_EXTENT = 0.001, 2.0
 """Longest side of the bounding box [m] that an object for a gripper can have; outside, the unit is wrong."""
 
 SPECK_FRACTION = 0.01
 """Loose parts below this fraction of the volume are dirt of a scan and are left out."""
+
+OVERLAP_FRACTION = 0.01
+"""A surface that overlaps itself by more than this fraction of its volume is united; measuring is no finer."""
 
 POOR_DIHEDRAL_ANGLE = np.radians(2.0)
 """Elements with a smaller angle [rad] are reported: they spoil the solution around them."""
@@ -31,21 +41,65 @@ MAX_NODES = 7_000
 logger = logging.getLogger(__name__)
 
 
-def mesh_from_surface(
+@dataclass(frozen=True, eq=False)
+class PreparedMesh:
+    """Tetrahedra ready to be simulated, and what was found on the way to them.
+
+    Args:
+        mesh: The tetrahedra.
+        triangles: Triangles of the surface as given; None where tetrahedra were given.
+        watertight: Whether that surface was closed as given; None where tetrahedra were given.
+        components: Bodies that were given, those that were left out included.
+        mends: What was mended, in words.
+        warnings: What may be wrong with the object, in words.
+    """
+
+    mesh: TetMesh
+    triangles: int | None
+    watertight: bool | None
+    components: int
+    mends: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    def logged(self) -> TetMesh:
+        """Return the mesh; what was mended and what may be wrong goes to the log."""
+        for text in (*self.mends, *self.warnings):
+            logger.warning(text)
+        return self.mesh
+
+
+def mesh_from_surface(vertices: np.ndarray, triangles: np.ndarray, **options: float | None) -> TetMesh:
+    """Return the solid inside a surface; arguments and errors as of ``prepare_surface``."""
+    return prepare_surface(vertices, triangles, **options).logged()
+
+
+def mesh_from_tetrahedra(
+    vertices: np.ndarray, tetrahedra: np.ndarray, *, scale: float = 1.0, element_order: int = 1
+) -> TetMesh:
+    """Return ready tetrahedra as they are, checked; arguments and errors as of ``prepare_tetrahedra``."""
+    return prepare_tetrahedra(vertices, tetrahedra, scale=scale, element_order=element_order).logged()
+
+
+def prepare_surface(
     vertices: np.ndarray,
     triangles: np.ndarray,
     *,
     scale: float = 1.0,
     target_edge_length: float | None = None,
+    wall_thickness: float | None = None,
+    edge_radius: float | None = None,
     element_order: int = 1,
-) -> TetMesh:
-    """Return the solid inside a surface.
+) -> PreparedMesh:
+    """Fill a surface with tetrahedra.
 
     Args:
         vertices: Positions, in metres after multiplication with ``scale``, shape ``(vertex, 3)``.
-        triangles: Vertex indices, shape ``(triangle, 3)``; the surface must be closed.
+        triangles: Vertex indices, shape ``(triangle, 3)``; the surface must be closed, unless it is to be the
+            outside of a hollow object.
         scale: Factor to metres, e.g. 0.001 for millimetres.
         target_edge_length: Edge length of the tetrahedra [m]; None: for about 1 000 nodes.
+        wall_thickness: The surface is the outside of a hollow object with walls so thick [m]; None: it is solid.
+        edge_radius: Radius with which sharp edges are rounded [m]; None: they stay sharp.
         element_order: 1 or 2, see :class:`TetMesh`.
 
     Raises:
@@ -53,21 +107,38 @@ def mesh_from_surface(
     """
     vertices = _scaled(vertices, scale)
     _require_plausible_size(vertices)
-    surface = closed_surface(vertices, triangles)
-    mesh = tetrahedralize(surface.vertices, surface.faces, target_edge_length, element_order)
-    return _checked(mesh, element_order)
+    if wall_thickness is not None:
+        surface = open_surface(vertices, triangles)
+        watertight = surface.is_watertight
+        mends = surface.metadata[MENDS]
+        if edge_radius is not None:
+            raise InvalidMeshError("edge_radius has no meaning for a hollow object; leave it out")
+        mesh = shell_mesh(surface.vertices, surface.faces, wall_thickness, target_edge_length, element_order)
+        warnings: list[str] = []
+    else:
+        surface = closed_surface(vertices, triangles)
+        mends = surface.metadata[MENDS]
+        watertight = not any("hole" in mend for mend in mends)
+        if edge_radius is not None:
+            surface = with_rounded_edges(surface, edge_radius)
+        volume, warnings = _united_volume(surface)
+        mesh = tetrahedralize(surface.vertices, surface.faces, target_edge_length, element_order, volume)
+    mesh, components = _largest_body(mesh, mends)
+    mesh = replace(mesh, element_order=element_order)
+    _check_elements(mesh, warnings)
+    return PreparedMesh(mesh, len(triangles), bool(watertight), components, tuple(mends), tuple(warnings))
 
 
-def mesh_from_tetrahedra(
+def prepare_tetrahedra(
     vertices: np.ndarray, tetrahedra: np.ndarray, *, scale: float = 1.0, element_order: int = 1
-) -> TetMesh:
-    """Return ready tetrahedra as they are, checked.
+) -> PreparedMesh:
+    """Check ready tetrahedra; they are taken as they are, but for loose specks.
 
     Args:
         vertices: Positions, in metres after multiplication with ``scale``, shape ``(vertex, 3)``.
         tetrahedra: Vertex indices, shape ``(tet, 4)``.
         scale: Factor to metres, e.g. 0.001 for millimetres.
-        element_order: 1 or 2; order 2 adds the middles of the edges to the given vertices.
+        element_order: 1 or 2, see :class:`TetMesh`.
 
     Raises:
         InvalidMeshError: If they are no solid of plausible size.
@@ -78,7 +149,35 @@ def mesh_from_tetrahedra(
         )
     vertices = _scaled(vertices, scale)
     _require_plausible_size(vertices)
-    return _checked(TetMesh(vertices, tetrahedra), element_order)
+    mends: list[str] = []
+    warnings: list[str] = []
+    mesh, components = _largest_body(TetMesh(vertices, tetrahedra), mends)
+    mesh = replace(mesh, element_order=element_order)
+    _check_elements(mesh, warnings)
+    return PreparedMesh(mesh, None, None, components, tuple(mends), tuple(warnings))
+
+
+def scaled_surface(vertices: np.ndarray, triangles: np.ndarray, scale: float = 1.0) -> trimesh.Trimesh:
+    """Return the closed surface of an object of plausible size [m], mended as in ``closed_surface``.
+
+    Raises:
+        InvalidMeshError: As in ``closed_surface``, or if the size shows a wrong unit.
+    """
+    vertices = _scaled(vertices, scale)
+    _require_plausible_size(vertices)
+    return closed_surface(vertices, triangles)
+
+
+def _united_volume(surface: trimesh.Trimesh) -> tuple[float | None, list[str]]:
+    """Return the volume [m^3] of a surface that overlaps itself, None of one that does not; and a warning."""
+    enclosed = enclosed_volume(surface.vertices, surface.faces)
+    if enclosed.overlap <= OVERLAP_FRACTION * enclosed.union:
+        return None, []
+    share = 100.0 * enclosed.overlap / enclosed.union
+    return enclosed.union, [
+        f"the surface overlaps itself ({share:.2g} % of the volume): the parts were united, and the volume is known to "
+        "about 1 %"
+    ]
 
 
 def _scaled(vertices: np.ndarray, scale: float) -> np.ndarray:
@@ -98,8 +197,8 @@ def _require_plausible_size(vertices: np.ndarray) -> None:
         )
 
 
-def _checked(mesh: TetMesh, element_order: int) -> TetMesh:
-    mesh = replace(_largest_body(mesh), element_order=element_order)
+def _check_elements(mesh: TetMesh, warnings: list[str]) -> None:
+    """Refuse too many elements; warn of poor ones."""
     if len(mesh.tetrahedra) > MAX_TETRAHEDRA:
         raise MeshTooLargeError(
             f"the mesh has {len(mesh.tetrahedra)} tetrahedra, more than {MAX_TETRAHEDRA}; "
@@ -113,24 +212,20 @@ def _checked(mesh: TetMesh, element_order: int) -> TetMesh:
     angles = dihedral_angles(mesh).min(axis=1)
     poor = angles < POOR_DIHEDRAL_ANGLE
     if poor.any():
-        logger.warning(
-            "%d of %d tetrahedra are almost flat (smallest dihedral angle %.2g deg): "
-            "expect slow convergence and wrong stresses there",
-            poor.sum(),
-            len(poor),
-            np.degrees(angles.min()),
+        warnings.append(
+            f"{poor.sum()} of {len(poor)} tetrahedra are almost flat (smallest dihedral angle "
+            f"{np.degrees(angles.min()):.2g} deg): expect slow convergence and wrong stresses there"
         )
-    return mesh
 
 
-def _largest_body(mesh: TetMesh) -> TetMesh:
-    """Return the mesh without specks; bodies that are not joined cannot be one object."""
+def _largest_body(mesh: TetMesh, mends: list[str]) -> tuple[TetMesh, int]:
+    """Return the mesh without specks, and the number of bodies; bodies not joined cannot be one object."""
     edges = mesh.tetrahedra[:, [[0, 1], [0, 2], [0, 3]]].reshape(-1, 2)
     size = len(mesh.vertices)
     graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(size, size))
     count, body_of_node = connected_components(graph, directed=False)
     if count == 1:
-        return mesh
+        return mesh, count
     body = body_of_node[mesh.tetrahedra[:, 0]]
     volumes = np.bincount(body, mesh.volumes)
     rest = 1.0 - volumes.max() / volumes.sum()
@@ -140,5 +235,5 @@ def _largest_body(mesh: TetMesh) -> TetMesh:
             f"the object consists of {count} bodies that are not joined ({listed}{', ...' if count > 5 else ''} cm^3); "
             "a grasped object is one body: unite them, or keep one"
         )
-    logger.warning("left out %d loose specks, together %.2g %% of the volume", count - 1, 100.0 * rest)
-    return TetMesh(mesh.vertices, mesh.tetrahedra[body == volumes.argmax()])
+    mends.append(f"left out {count - 1} loose specks, together {100.0 * rest:.2g} % of the volume")
+    return TetMesh(mesh.vertices, mesh.tetrahedra[body == volumes.argmax()]), count

@@ -22,3 +22,12 @@ def dihedral_angles(mesh: TetMesh) -> np.ndarray:
     # atan2 keeps its precision near 0 and pi, where arccos loses half of the digits.
     sine = np.linalg.norm(np.cross(first, second), axis=-1)
     return np.arctan2(sine, -np.einsum("tpi,tpi->tp", first, second))
+
+
+def aspect_ratios(mesh: TetMesh) -> np.ndarray:
+    """Return longest edge / (2 sqrt(6) x inradius) of each element [-], shape ``(tet,)``; 1 for a regular one."""
+    corners = mesh.vertices[mesh.tetrahedra]
+    longest = np.linalg.norm(corners[:, :, None] - corners[:, None, :], axis=-1).max(axis=(1, 2))
+    a, b, c = np.moveaxis(corners[:, TET_FACES], 2, 0)
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum(axis=1) / 2.0
+    return longest * areas / (2.0 * 6.0**0.5 * 3.0 * mesh.volumes)

@@ -20,11 +20,19 @@ MIN_RELATIVE_VOLUME = 1e-6
 """A surface that encloses less than this fraction of (area)^(3/2) is flat."""
 
 
+MENDS = "mends"
+"""Key of a surface's ``metadata`` under which is written what was mended, a list of texts."""
+
+SMALL_HOLE = 0.05
+"""Holes up to this size, relative to the diagonal of the bounding box, are gaps of a scan and are closed."""
+
+
 def closed_surface(vertices: np.ndarray, triangles: np.ndarray) -> trimesh.Trimesh:
     """Return the boundary of a solid: closed, consistently oriented, normals pointing out.
 
-    Vertices at the same place are merged, as formats without shared vertices and texture seams need it;
-    triangles that are wound the wrong way, and surfaces that are inside out, are turned.
+    Vertices at the same place are merged, as formats without shared vertices and texture seams need it; triangles
+    that are repeated or have no area are left out; small holes are closed; triangles that are wound the wrong way,
+    and surfaces that are inside out, are turned. What was mended is listed in ``metadata[MENDS]``.
 
     Args:
         vertices: Positions [m], shape ``(vertex, 3)``.
@@ -36,31 +44,110 @@ def closed_surface(vertices: np.ndarray, triangles: np.ndarray) -> trimesh.Trime
         MeshNotWatertightError: If there are holes.
         MeshTooLargeError: If there are more triangles than ``MAX_TRIANGLES``.
     """
+    surface = open_surface(vertices, triangles)
+    mends = surface.metadata[MENDS]
+    closed = _close_small_holes(surface)
+    if closed:
+        mends.append(f"closed {closed} small hole{'s' if closed > 1 else ''}")
+    _require_closed(surface)
+    if not _is_oriented(surface):
+        _turn_to_neighbours(surface)
+    with np.errstate(divide="ignore", invalid="ignore"):  # the volume comes with the centre of mass, divided by it
+        volume = float(surface.volume)
+    if volume < 0.0:
+        surface.invert()
+        mends.append("turned the surface, which was inside out")
+    if abs(volume) <= MIN_RELATIVE_VOLUME * surface.area**1.5:
+        raise InvalidMeshError("the surface is closed but encloses no volume; a solid object is needed")
+    return surface
+
+
+def open_surface(vertices: np.ndarray, triangles: np.ndarray) -> trimesh.Trimesh:
+    """Return a surface, with or without boundary, cleaned of what has no area: merged, without repeated triangles.
+
+    Args:
+        vertices: Positions [m], shape ``(vertex, 3)``.
+        triangles: Vertex indices, shape ``(triangle, 3)``.
+
+    Raises:
+        InvalidMeshError: If an array has the wrong shape, holds numbers that are not finite or indices out of
+            range, or nothing has an area.
+        MeshTooLargeError: If there are more triangles than ``MAX_TRIANGLES``.
+    """
     import trimesh
 
     vertices, triangles = _checked_arrays(vertices, triangles)
     surface = trimesh.Trimesh(vertices, triangles, process=False)
+    mends: list[str] = []
+    surface.metadata[MENDS] = mends
     surface.merge_vertices(merge_tex=True, merge_norm=True)
     faces = surface.faces
     collapsed = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
     surface.update_faces(~collapsed)
     if len(surface.faces) == 0:
         raise InvalidMeshError("the surface has only triangles without area")
-    _require_closed(surface)
-    if not _is_oriented(surface):
-        trimesh.repair.fix_winding(surface)
-        if not _is_oriented(surface):
-            raise InvalidMeshError(
-                "the triangles have no consistent inside and outside; give a surface in which every edge joins "
-                "triangles of opposite winding"
-            )
-    with np.errstate(divide="ignore", invalid="ignore"):  # the volume comes with the centre of mass, divided by it
-        volume = float(surface.volume)
-    if volume < 0.0:
-        surface.invert()
-    if abs(volume) <= MIN_RELATIVE_VOLUME * surface.area**1.5:
-        raise InvalidMeshError("the surface is closed but encloses no volume; a solid object is needed")
+    distinct = _distinct(surface.faces)
+    if not distinct.all():
+        mends.append(f"left out {int((~distinct).sum())} triangles that were there twice")
+        surface.update_faces(distinct)
     return surface
+
+
+def _distinct(triangles: np.ndarray) -> np.ndarray:
+    """Return which triangles are no repetition of an earlier one with the same winding, shape ``(triangle,)``."""
+    first = triangles.argmin(axis=1)[:, None]
+    rolled = np.take_along_axis(triangles, (first + np.arange(3)) % 3, axis=1)
+    _, index = np.unique(rolled, axis=0, return_index=True)
+    keep = np.zeros(len(triangles), dtype=bool)
+    keep[index] = True
+    return keep
+
+
+def _turn_to_neighbours(surface: trimesh.Trimesh) -> None:
+    """Wind all triangles alike; raise where an edge of more than two triangles or a one-sided surface forbids it."""
+    import trimesh
+
+    before = surface.faces.copy()
+    trimesh.repair.fix_winding(surface)
+    if not _is_oriented(surface):
+        raise InvalidMeshError(
+            "the triangles have no consistent inside and outside; give a surface in which every edge joins "
+            "triangles of opposite winding"
+        )
+    turned = int((surface.faces != before).any(axis=1).sum())
+    surface.metadata[MENDS].append(
+        f"turned {min(turned, len(before) - turned)} triangles that were wound the wrong way"
+    )
+
+
+def _close_small_holes(surface: trimesh.Trimesh) -> int:
+    """Close holes with a fan about their middle where their rim is a simple loop; return how many."""
+    edges = surface.edges
+    _, inverse, counts = np.unique(surface.edges_sorted, axis=0, return_inverse=True, return_counts=True)
+    rim = edges[counts[inverse.ravel()] == 1]
+    if len(rim) == 0:
+        return 0
+    nodes, local = np.unique(rim, return_inverse=True)
+    start, end = local.reshape(-1, 2).T
+    simple = (np.bincount(start, minlength=len(nodes)) == 1) & (np.bincount(end, minlength=len(nodes)) == 1)
+    graph = coo_array((np.ones(len(start)), (start, end)), shape=(len(nodes), len(nodes)))
+    hole_count, hole_of_node = connected_components(graph, directed=False)
+    size = float(np.linalg.norm(surface.extents))
+    vertices, faces = [surface.vertices], [surface.faces]
+    closed = 0
+    for hole in range(hole_count):
+        members = hole_of_node == hole
+        points = surface.vertices[nodes[members]]
+        if not simple[members].all() or np.linalg.norm(np.ptp(points, axis=0)) > SMALL_HOLE * size:
+            continue
+        here = members[start]
+        middle = np.full(int(here.sum()), len(surface.vertices) + closed)
+        vertices.append(points.mean(axis=0, keepdims=True))
+        faces.append(np.column_stack([rim[here][:, ::-1], middle]))
+        closed += 1
+    if closed:
+        surface.vertices, surface.faces = np.concatenate(vertices), np.concatenate(faces)
+    return closed
 
 
 def _checked_arrays(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -98,7 +185,8 @@ def _require_closed(surface: trimesh.Trimesh) -> None:
     raise MeshNotWatertightError(
         f"the surface is not watertight: {len(open_edges)} boundary edges around {hole_count} "
         f"hole{'s' if hole_count > 1 else ''}, the largest {np.linalg.norm(np.ptp(largest, axis=0)):.3g} m across "
-        f"near ({x:.4g}, {y:.4g}, {z:.4g}) m; close it in a mesh editor, or with trimesh.repair.fill_holes"
+        f"near ({x:.4g}, {y:.4g}, {z:.4g}) m; close it in a mesh editor, or give "
+        "wall_thickness if it is the outside of a hollow object that is open there"
     )
 
 

@@ -1,17 +1,14 @@
-"""Runs fTetWild in a process of its own: ``python tetwild_worker.py INPUT.npz OUTPUT.npz``.
-
-Started by ``tetrahedralize.py``, never imported: a native mesher can hang, run out of memory, crash or print,
-and none of that may reach the caller.
-"""
+"""Runs fTetWild; started by ``tetrahedralize.py`` in a process with limits, never imported."""
 
 import ctypes
 import mmap
 import platform
-import resource
-import sys
+from collections.abc import Mapping
 
 import numpy as np
 import pytetwild
+
+from defgrasp_ros.mesh.limited_process import answer_request
 
 READ_WRITE_EXECUTE = 7
 
@@ -43,24 +40,19 @@ def make_repeatable(seed: int) -> None:
         ctypes.memmove(address, code, len(code))
 
 
-def main(input_path: str, output_path: str) -> None:
-    """Read surface and parameters, write the tetrahedra."""
-    with np.load(input_path) as request:
-        memory, seconds = int(request["memory_limit"]), int(request["time_limit"])
-        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-        # Ends this process also where the one that waits for it was killed.
-        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-        make_repeatable(int(request["seed"]))
-        vertices, tetrahedra = pytetwild.tetrahedralize(
-            request["vertices"],
-            request["triangles"].astype(np.int32),
-            edge_length_abs=float(request["edge_length"]),
-            epsilon=float(request["relative_envelope"]),
-            simplify=False,
-            num_threads=1,
-        )
-    np.savez(output_path, vertices=vertices, tetrahedra=tetrahedra)
+def tetrahedralize(request: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the tetrahedra of a surface."""
+    make_repeatable(int(request["seed"]))
+    vertices, tetrahedra = pytetwild.tetrahedralize(
+        request["vertices"],
+        request["triangles"].astype(np.int32),
+        edge_length_abs=float(request["edge_length"]),
+        epsilon=float(request["relative_envelope"]),
+        simplify=False,
+        num_threads=1,
+    )
+    return {"vertices": vertices, "tetrahedra": tetrahedra}
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    answer_request(tetrahedralize)

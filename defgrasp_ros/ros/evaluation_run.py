@@ -19,8 +19,9 @@ from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper, load_gripper
 from defgrasp_ros.object_model import ObjectModel
 from defgrasp_ros.recording import provenance
+from defgrasp_ros.ros.object_registry import ObjectRegistry
 from defgrasp_ros.ros.outputs import Outputs
-from defgrasp_ros.ros.parameters import experiment_defaults, log_directory
+from defgrasp_ros.ros.parameters import experiment_defaults, log_directory, mesh_directories
 from defgrasp_ros.ros.request_conversion import grasp_from_message, object_from_message, options_from_message
 from defgrasp_ros.ros.run_observer import RunObserver
 from defgrasp_ros.ros.status_reporter import StatusReporter
@@ -44,16 +45,26 @@ class EvaluationRun:
         outputs: Takes the messages.
         status: Is told what happens.
         parameters: Values of the node's parameters.
+        registry: Objects known by name.
         stop: Ends the run early when set.
     """
 
-    def __init__(self, node: Node, outputs: Outputs, status: StatusReporter, parameters: dict, stop: Event) -> None:
+    def __init__(
+        self,
+        node: Node,
+        outputs: Outputs,
+        status: StatusReporter,
+        parameters: dict,
+        registry: ObjectRegistry,
+        stop: Event,
+    ) -> None:
         self.id = f"{datetime.now():%Y_%m_%d-%H_%M_%S}-{uuid.uuid4().hex[:6]}"
         self._clock = node.get_clock()
         self._logger = node.get_logger()
         self._outputs = outputs
         self._status = status
         self._parameters = parameters
+        self._registry = registry
         self._stop = stop
 
     def answer(self, request: msg.EvaluationRequest) -> EvaluateGrasp.Response:
@@ -66,7 +77,8 @@ class EvaluationRun:
         gripper = load_gripper(request.gripper or self._parameters["gripper"])
         options = options_from_message(request.options, experiment_defaults(self._parameters))
         self._status.meshing(self.id, request.object.name, len(request.grasps), self._parameters["device"])
-        object_model = object_from_message(request.object, self._parameters["max_tetrahedra"])
+        folders = mesh_directories(self._parameters)
+        object_model = object_from_message(request.object, self._parameters["max_tetrahedra"], folders, self._registry)
         self._logger.info(
             f"run {self.id}: object '{object_model.name}' of {len(object_model.mesh.tetrahedra)} tetrahedra, "
             f"{len(request.grasps)} grasps on {self._parameters['device']}"

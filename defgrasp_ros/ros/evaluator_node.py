@@ -21,6 +21,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from defgrasp_ros.errors import DefgraspError, ResultCode
 from defgrasp_ros.ros.evaluation_run import EvaluationRun
+from defgrasp_ros.ros.object_registry import ObjectRegistry
+from defgrasp_ros.ros.object_services import ObjectServices
 from defgrasp_ros.ros.outputs import Outputs
 from defgrasp_ros.ros.parameters import declare_parameters, parameter_values
 from defgrasp_ros.ros.status_reporter import StatusReporter
@@ -30,14 +32,15 @@ SERVICE_NAME = "~/evaluate_grasp"
 EVERY_REQUEST = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 """Requests wait as long as it takes until those before them are answered."""
 
-EXECUTOR_THREADS = 3
-"""One waits for the simulation; the others keep status and parameters alive."""
+EXECUTOR_THREADS = 4
+"""One waits for the simulation, one for the mesher; the others keep status and parameters alive."""
 
 
 class EvaluatorNode(Node):
     """Evaluates candidate grasps on request.
 
-    Service ``~/evaluate_grasp``; topics and parameters are listed in ``topics.py`` and ``parameters.py``.
+    Service ``~/evaluate_grasp``, and those of ``object_services.py``; topics and parameters are listed in ``topics.py``
+    and ``parameters.py``.
     The simulation has a thread of its own, so that the node stays responsive to everything else.
     """
 
@@ -55,6 +58,8 @@ class EvaluatorNode(Node):
             qos_profile=EVERY_REQUEST,
             callback_group=MutuallyExclusiveCallbackGroup(),
         )
+        self._registry = ObjectRegistry()
+        self._object_services = ObjectServices(self, self._registry)
         self._become_idle()
         self.get_logger().info(f"ready: {self.resolve_service_name(SERVICE_NAME)}")
 
@@ -73,7 +78,7 @@ class EvaluatorNode(Node):
     def _answer(self, request: EvaluationRequest) -> EvaluateGrasp.Response:
         """Answer a request; whatever goes wrong is an answer, too."""
         start = time.monotonic()
-        run = EvaluationRun(self, self._outputs, self._status, parameter_values(self), self._stop)
+        run = EvaluationRun(self, self._outputs, self._status, parameter_values(self), self._registry, self._stop)
         try:
             response = run.answer(request)
         except DefgraspError as error:

@@ -57,5 +57,16 @@ class Surface:
     target_edge_length: float | None = None
 
 
-ObjectSource = MeshFile | MeshData | Surface | TetMesh
-"""The shape of an object, in one of the four ways of ``defgrasp_interfaces/msg/ObjectModel``."""
+@dataclass(frozen=True)
+class RegisteredObject:
+    """An object that the evaluator knows: a registered one, or one of its library.
+
+    Args:
+        name: Its name.
+    """
+
+    name: str
+
+
+ObjectSource = MeshFile | MeshData | Surface | TetMesh | RegisteredObject
+"""The shape of an object, in one of the ways of ``defgrasp_interfaces/msg/ObjectModel``."""

@@ -78,6 +78,11 @@ PARAMETERS = (
         range=(1, MAX_TETRAHEDRA),
     ),
     Parameter(
+        "mesh_directories",
+        "",
+        "Folders from which mesh files may be read, with ':' between them; empty: all.",
+    ),
+    Parameter(
         "publish.sample_rate",
         1.0 / EvaluationObserver.sample_interval,
         "Joint states and contacts of each grasp per simulated second",
@@ -106,6 +111,11 @@ def experiment_defaults(values: dict) -> EvaluationOptions:
     """Return the options that apply where a request leaves them 0."""
     given = {name.removeprefix(EXPERIMENT): value for name, value in values.items() if name.startswith(EXPERIMENT)}
     return dataclasses.replace(EvaluationOptions(), **given)
+
+
+def mesh_directories(values: dict) -> list[Path]:
+    """Return the folders from which mesh files may be read; empty: all."""
+    return [Path(folder) for folder in values["mesh_directories"].split(os.pathsep) if folder]
 
 
 def log_directory(values: dict) -> Path:

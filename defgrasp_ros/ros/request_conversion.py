@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import array
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
-from urllib.parse import unquote
 
 import numpy as np
 from defgrasp_interfaces import msg
@@ -16,17 +16,17 @@ from defgrasp_ros.errors import InvalidMeshError, MeshTooLargeError, UnknownFram
 from defgrasp_ros.evaluation import EvaluationOptions
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.material import Material
-from defgrasp_ros.mesh.mesh_files import read_mesh, read_mesh_bytes
-from defgrasp_ros.mesh.object_mesh import mesh_from_surface, mesh_from_tetrahedra
+from defgrasp_ros.mesh.mesh_files import prepare_bytes, prepare_file
+from defgrasp_ros.mesh.mesh_uri import path_of_uri
+from defgrasp_ros.mesh.object_mesh import PreparedMesh, prepare_surface, prepare_tetrahedra
 from defgrasp_ros.mesh.tet_mesh import TetMesh
 from defgrasp_ros.object_model import ObjectModel
 from defgrasp_ros.ros.fields import extract, fill, flat, point_message, rows
-from defgrasp_ros.ros.object_source import MeshData, MeshFile, ObjectSource, Surface
+from defgrasp_ros.ros.object_registry import OBJECT_SCHEME, ObjectRegistry
+from defgrasp_ros.ros.object_source import MeshData, MeshFile, ObjectSource, RegisteredObject, Surface
 
 OBJECT_FRAME = "object"
 """Name of the object frame in message headers."""
-
-FILE_SCHEME = "file://"
 
 
 # Material
@@ -124,41 +124,62 @@ def object_to_message(source: ObjectSource, material: Material, name: str = "") 
             triangles = np.asarray(source.triangles, dtype=np.uint32)
             message.surface.vertices = [point_message(vertex) for vertex in source.vertices]
             message.surface.triangles = [MeshTriangle(vertex_indices=triangle) for triangle in triangles]
+        case RegisteredObject():
+            message.uri = OBJECT_SCHEME + source.name
+            return message
         case TetMesh():
             message.tetrahedra.vertices = flat(source.vertices)
             message.tetrahedra.tetrahedra = flat(source.tetrahedra, "I")
             return message
         case _:
             kind = type(source).__name__
-            raise TypeError(f"the shape of an object is a MeshFile, MeshData, Surface or TetMesh, not {kind}")
+            raise TypeError(
+                f"the shape of an object is a MeshFile, MeshData, Surface, TetMesh or RegisteredObject, not {kind}"
+            )
     message.target_edge_length = float(source.target_edge_length or 0.0)
     return message
 
 
-def object_from_message(message: msg.ObjectModel, max_tetrahedra: int) -> ObjectModel:
+def object_from_message(
+    message: msg.ObjectModel,
+    max_tetrahedra: int,
+    mesh_directories: Sequence[Path] = (),
+    registry: ObjectRegistry | None = None,
+) -> ObjectModel:
     """Return the object of a message; a surface is filled with tetrahedra.
 
     Args:
         message: The object's message.
         max_tetrahedra: Largest number of tetrahedra that is accepted [-].
+        mesh_directories: Folders from which files may be read; empty: all.
+        registry: Objects known by name; None: those of the library alone.
 
     Raises:
         InvalidMaterialError: If a material value is outside its physical range.
         InvalidMeshError: If the shape is not given in exactly one way, cannot be read, or is no solid that can be
             simulated.
-        NotFoundError: If the mesh file does not exist.
+        NotFoundError: If the mesh file or the named object does not exist.
     """
     material = material_from_message(message.material)
-    mesh = _mesh_from_message(message)
-    if len(mesh.tetrahedra) > max_tetrahedra:
-        raise MeshTooLargeError(
-            f"the object has {len(mesh.tetrahedra)} tetrahedra, more than max_tetrahedra = {max_tetrahedra}; "
-            "give a larger object.target_edge_length or a coarser mesh"
-        )
+    mesh = prepared_from_message(message, max_tetrahedra, mesh_directories, registry or ObjectRegistry()).logged()
     return ObjectModel(message.name, mesh, material)
 
 
-def _mesh_from_message(message: msg.ObjectModel) -> TetMesh:
+def prepared_from_message(
+    message: msg.ObjectModel, max_tetrahedra: int, mesh_directories: Sequence[Path], registry: ObjectRegistry
+) -> PreparedMesh:
+    """Return the shape of a message and what was mended on the way; arguments and errors as ``object_from_message``."""
+    prepared = _prepared(message, mesh_directories, registry)
+    count = len(prepared.mesh.tetrahedra)
+    if count > max_tetrahedra:
+        raise MeshTooLargeError(
+            f"the object has {count} tetrahedra, more than max_tetrahedra = {max_tetrahedra}; "
+            "give a larger object.target_edge_length or a coarser mesh"
+        )
+    return prepared
+
+
+def _prepared(message: msg.ObjectModel, mesh_directories: Sequence[Path], registry: ObjectRegistry) -> PreparedMesh:
     shapes = {
         "uri": message.uri,
         "data": message.data,
@@ -173,46 +194,29 @@ def _mesh_from_message(message: msg.ObjectModel) -> TetMesh:
         )
     scale = require_in_range(InvalidMeshError, "object.scale", message.scale, 0.0) or 1.0
     size = require_in_range(InvalidMeshError, "object.target_edge_length", message.target_edge_length, 0.0, unit="m")
+    options = {"scale": scale, "target_edge_length": size or None}
     try:
-        return _read_shape(given[0], message, scale, target_edge_length=size or None)
+        match given[0]:
+            case "uri" if message.uri.startswith(OBJECT_SCHEME):
+                return registry.prepared(message.uri.removeprefix(OBJECT_SCHEME))
+            case "uri":
+                return prepare_file(path_of_uri(message.uri, mesh_directories), **options)
+            case "data":
+                return prepare_bytes(bytes(message.data), message.format, **options)
+            case "surface":
+                points = [[point.x, point.y, point.z] for point in message.surface.vertices]
+                corners = [triangle.vertex_indices for triangle in message.surface.triangles]
+                vertices, triangles = np.array(points).reshape(-1, 3), np.array(corners, dtype=np.int64).reshape(-1, 3)
+                return prepare_surface(vertices, triangles, **options)
+            case _:
+                vertices = _rows_of("vertices", message.tetrahedra.vertices, 3)
+                tetrahedra = _rows_of("tetrahedra", message.tetrahedra.tetrahedra, 4)
+                return prepare_tetrahedra(vertices, tetrahedra.astype(np.int64), scale=scale)
     except InvalidMeshError as error:
         raise type(error)(f"object.{given[0]}: {error}") from error
-
-
-def _read_shape(way: str, message: msg.ObjectModel, scale: float, target_edge_length: float | None) -> TetMesh:
-    match way:
-        case "uri":
-            return read_mesh(path_of_uri(message.uri), scale=scale, target_edge_length=target_edge_length)
-        case "data":
-            data = bytes(message.data)
-            return read_mesh_bytes(data, message.format, scale=scale, target_edge_length=target_edge_length)
-        case "surface":
-            points = [[point.x, point.y, point.z] for point in message.surface.vertices]
-            corners = [triangle.vertex_indices for triangle in message.surface.triangles]
-            vertices, triangles = np.array(points).reshape(-1, 3), np.array(corners, dtype=np.int64).reshape(-1, 3)
-            return mesh_from_surface(vertices, triangles, scale=scale, target_edge_length=target_edge_length)
-        case _:
-            vertices = _rows_of("vertices", message.tetrahedra.vertices, 3)
-            tetrahedra = _rows_of("tetrahedra", message.tetrahedra.tetrahedra, 4)
-            return mesh_from_tetrahedra(vertices, tetrahedra.astype(np.int64), scale=scale)
 
 
 def _rows_of(name: str, values: array.array, width: int) -> np.ndarray:
     if len(values) % width:
         raise InvalidMeshError(f"{name} has {len(values)} numbers, which is no multiple of {width}")
     return rows(values, width)
-
-
-def path_of_uri(uri: str) -> Path:
-    """Return the absolute path of a ``file://`` URI, percent signs decoded.
-
-    Raises:
-        InvalidMeshError: If the URI has another scheme, names another machine, or its path is not absolute.
-    """
-    path = unquote(uri.removeprefix(FILE_SCHEME).removeprefix("localhost"))
-    if not uri.startswith(FILE_SCHEME) or not path.startswith("/"):
-        raise InvalidMeshError(
-            f"'{uri}' cannot be read; give file:// and an absolute path on the evaluator's machine, "
-            "e.g. file:///home/me/banana.stl, or send the content in object.data"
-        )
-    return Path(path)

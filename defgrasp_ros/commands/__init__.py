@@ -1,0 +1,1 @@
+"""The commands of ``defgrasp``, one module each."""

@@ -1,0 +1,38 @@
+"""Writes tetrahedra to files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from defgrasp_ros.errors import InvalidMeshError
+from defgrasp_ros.mesh.tet_mesh import TetMesh
+
+WRITTEN_FORMATS = ("tet", "mesh", "msh", "vtk", "vtu")
+"""Formats of tetrahedra that can be written; ``read_mesh`` reads all of them."""
+
+
+def write_mesh(path: Path | str, mesh: TetMesh) -> None:
+    """Write tetrahedra to a file whose extension is one of ``WRITTEN_FORMATS``.
+
+    Raises:
+        InvalidMeshError: If the extension is unknown.
+    """
+    path = Path(path)
+    format = path.suffix.lower().removeprefix(".")
+    if format not in WRITTEN_FORMATS:
+        raise InvalidMeshError(f"{path}: format '{format}' is not written; written: {', '.join(WRITTEN_FORMATS)}")
+    if format == "tet":
+        path.write_text(_tet_text(mesh))
+        return
+    import meshio
+
+    names = {"mesh": "medit", "msh": "gmsh22"}
+    content = meshio.Mesh(mesh.vertices, [("tetra", mesh.tetrahedra)])
+    content.write(path, file_format=names.get(format, format))
+
+
+def _tet_text(mesh: TetMesh) -> str:
+    """Return the format of DefGraspSim."""
+    lines = [f"# {len(mesh.vertices)} vertices", *(f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in mesh.vertices)]
+    lines += [f"# {len(mesh.tetrahedra)} tetrahedra", *("t {} {} {} {}".format(*tet) for tet in mesh.tetrahedra)]
+    return "\n".join(lines) + "\n"
