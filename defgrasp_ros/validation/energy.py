@@ -36,13 +36,13 @@ class EnergyAccount:
         simulator = self.rig.simulator
         self.x, self.v = self.rig.positions().copy(), simulator.velocities(WORLD)[0].copy()
         self.opening = simulator.openings(WORLD)[0]
-        self.stored = simulator.stresses(WORLD)[1].sum() + 0.5 * self.system.mass @ (self.v**2).sum(axis=1)
+        self.stored = simulator.stresses(WORLD)[1].sum() + 0.5 * self.system.mass.diagonal() @ (self.v**2).sum(axis=1)
 
     def update(self) -> None:
         """Account for the step that was just taken."""
         x, v, opening = self.x, self.v, self.opening
         self._look()
-        moved, mass = self.x - x, self.system.mass
+        moved, mass = self.x - x, self.system.mass.diagonal()
         contact = self.rig.simulator.contact_forces(WORLD)[0]
         normal = np.einsum("ij,ij->i", contact.forces, contact.normals)
         tangential = contact.forces - normal[:, None] * contact.normals

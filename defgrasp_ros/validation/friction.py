@@ -55,7 +55,7 @@ def threshold(
     rig.active = np.arange(0, of_step, len(LEVELS))
     rig.squeeze(FORCE, STEP, 20)
     for world in np.setdiff1d(rig.every, rig.active):
-        rig.branch(len(LEVELS) * (world % of_step // len(LEVELS)), world, grasps[world])
+        rig.branch(len(LEVELS) * (world % of_step // len(LEVELS)), world)
     pull = (FRICTION * rig.pad_forces() / model.mass)[:, None] * directions
     for h, worlds in zip(steps, rig.every.reshape(len(steps), -1), strict=True):
         rig.active = worlds

@@ -82,13 +82,10 @@ class Rig:
         openings = np.broadcast_to(opening, len(self.every)).copy()
         self.simulator.place_gripper(self.every, list(grasps), openings, np.full(len(self.every), force))
 
-    def branch(self, source: int, target: int, grasp: Grasp) -> None:
-        """Give a world everything of another one that holds the body with the given grasp."""
-        here, force = np.array([target]), self.closing_force[source]
-        opening = self.simulator.openings(np.array([source]))
-        self.simulator.place_gripper(here, [grasp], opening, np.array([force]))
-        self.simulator.copy_world(source, here)
-        self.closing_force[target] = force
+    def branch(self, source: int, target: int) -> None:
+        """Make a world the same as another one."""
+        self.simulator.load(np.array([target]), [self.simulator.save(source)])
+        self.closing_force[target] = self.closing_force[source]
 
     def squeeze(self, force: float, h: float, steps: int) -> None:
         """Raise the pads' force over the first half of some quasi-static steps."""

@@ -39,7 +39,7 @@ def tipping(device: str) -> Iterator[Case]:
     slope = 0.5 * (LEVELS[first - 1] + LEVELS[first]) * WIDTH / HEIGHT if bracketed else math.nan
     source = "width / height; bracketed by slopes of " + ", ".join(f"{level:g}" for level in LEVELS) + " of it"
     yield relative("block on a slope: tan of the angle at which it topples", slope, WIDTH / HEIGHT, 0.02, source)
-    mass = RestSystem(model).mass
+    mass = RestSystem(model).mass.diagonal()
     arm = model.mesh.vertices - [WIDTH / 2, 0.0, -HEIGHT / 2]
     inertia = mass @ (arm[:, 0] ** 2 + arm[:, 2] ** 2)
     torque = model.weight * (HEIGHT / 2 * math.sin(tilts[-1]) - WIDTH / 2 * math.cos(tilts[-1]))

@@ -29,7 +29,7 @@ BEAM = (0.1, 0.02, 0.02), (0.18229, 0.18229, 0.28476)
 def modes(model: ObjectModel, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Lowest elastic modes of the free body: circular frequencies [rad/s] and shapes, ``(3 node, mode)``."""
     system = RestSystem(model)
-    mass = np.repeat(system.mass, 3)
+    mass = np.repeat(system.mass.diagonal(), 3)
     scale = scipy.sparse.diags(1.0 / np.sqrt(mass))
     matrix = (scale @ system.stiffness @ scale).tocsc()
     shift = -1e-2 * model.material.youngs_modulus / (model.material.density * model.mesh.size**2)
@@ -55,7 +55,7 @@ def ringing(device: str) -> Iterator[Case]:
     material, steps, amplitude = Material(2e5, 0.3), 100, 1e-5
     model = block(BLOCK[0], (6, 4, 4), material)
     (frequency,), shape = modes(model, 1)
-    mass = np.repeat(RestSystem(model).mass, 3)
+    mass = np.repeat(RestSystem(model).mass.diagonal(), 3)
     h = 0.1 / frequency
     rig = Rig(model, load_gripper(), device)
     rig.set_gravity(np.zeros(3))
