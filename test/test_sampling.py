@@ -1,5 +1,7 @@
 """Samplers of candidate grasps, checked with an independent ray caster."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -123,6 +125,15 @@ def test_fit_of_a_hand_from_above(height, expected):
     down = np.diag([1.0, -1.0, -1.0])
     fit = HandFit(cube.vertices, cube.faces, HAND)
     assert fit.check(np.array([0.0, 0.0, height]), down) is expected
+
+
+def test_hand_without_palm_collides_with_its_fingers_alone():
+    """Where no palm is described, nothing is between the fingers that could touch."""
+    cube = trimesh.creation.box([0.04, 0.04, 0.04])
+    down = np.diag([1.0, -1.0, -1.0])
+    fit = HandFit(cube.vertices, cube.faces, replace(HAND, palm=None))
+    assert fit.check(np.array([0.0, 0.0, -0.05]), down) is Fit.FREE
+    assert HandFit(cube.vertices, cube.faces, HAND).check(np.array([0.0, 0.0, -0.05]), down) is Fit.PALM_COLLISION
 
 
 def test_finger_and_swallowed_finger_are_collisions():
