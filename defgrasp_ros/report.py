@@ -39,7 +39,7 @@ def document(
     return {
         "object": object_document(model),
         "material": dataclasses.asdict(model.material),
-        "options": dataclasses.asdict(options),
+        "options": dataclasses.asdict(options) | {"experiments": sorted(options.experiments)},
         "device": device,
         "evaluations": [evaluation_document(evaluation) for evaluation in evaluations],
     }
