@@ -83,8 +83,8 @@ def solve_contacts(problem: ContactProblem, start: np.ndarray, tolerance: float)
 def _attempts(problem: ContactProblem, start: np.ndarray) -> Iterator[tuple[np.ndarray, float, int]]:
     """Yield first guess, scale and memory for Newton's method, most promising first.
 
-    From force to motion there is an elastic scale and one of the rigid body. The best mostly lies between them, but each
-    combination fails on problems that another one solves. Random guesses are normal forces without friction.
+    From force to motion there is an elastic scale and one of the rigid body. The best mostly lies between them, but
+    each combination fails on problems that another one solves. Random guesses are normal forces without friction.
     """
     elastic, mean = problem.rho, 0.2 * np.sqrt(problem.rho * np.trace(problem.matrix))
     yield start, mean, MEMORY
