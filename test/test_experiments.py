@@ -146,6 +146,18 @@ def test_reorientation_of_a_symmetric_grasp_is_symmetric():
     assert result.closing_force >= evaluation.target_force
 
 
+def test_reorientation_recorded_in_motion():
+    """Snapshots in motion feel the centrifugal force as well, but little of it at 3 rad/s in a block of 30 mm."""
+    model, pads = block(2e5, 0.3), load_gripper()
+    at_rest, in_motion = (
+        evaluate(model, pads=pads, experiments={"reorientation"}, reorientation_settles=settles).reorientation
+        for settles in (True, False)
+    )
+    assert not any(in_motion.reasons)
+    np.testing.assert_allclose(in_motion.max_deformation, at_rest.max_deformation, rtol=0.1)
+    assert np.abs(in_motion.max_deformation - at_rest.max_deformation).max() > 1e-9
+
+
 def test_squeeze_is_linear_where_the_block_is():
     """Without gravity, nu = 0 and whole faces: shortening F L / 2 E A and energy grow with the force and its square."""
     model = block(2e5)

@@ -37,7 +37,8 @@ class Reorientation:
     def __init__(self, batch: GraspBatch):
         self.batch = batch
         self.simulator = batch.simulator
-        self.h = LONG_STEP * batch.options.time_step
+        self.settles = batch.options.reorientation_settles
+        self.h = LONG_STEP * batch.options.time_step if self.settles else batch.options.time_step
         self.size = batch.model.mesh.size
         self.directions = sphere_directions()
         self.forces: dict[Candidate, float] = {}
@@ -105,6 +106,8 @@ class Reorientation:
         worlds, simulator = np.arange(len(jobs)), self.simulator
         simulator.load(worlds, [self.lifted[candidate] for candidate, _ in jobs])
         axes = self.directions[[axis for _, axis in jobs]]
+        if not self.settles:
+            self._spin([candidate for candidate, _ in jobs], worlds, axes)
         active, angle = np.arange(len(jobs)), 0.0
         for number, turn in enumerate(TURNS):
             steps = int(np.ceil((turn - angle) / (self.batch.options.reorientation_speed * self.h)))
@@ -114,18 +117,24 @@ class Reorientation:
                     Experiment.REORIENTATION, Phase.REORIENT, done + share * at / TURNS[-1], len(active)
                 )
             angle = turn
-            if self.batch.options.reorientation_settles:
+            if self.settles:
                 some = [jobs[i][0] for i in active]
                 failures = self._settle(some, active, turned_gravity(axes[active], angle))
                 active = self._drop(jobs, active, failures, number)
             self._record(jobs, active, number)
 
+    def _spin(self, candidates: list[Candidate], worlds: np.ndarray, axes: np.ndarray) -> None:
+        """Let objects feel that the hand turns about an axis through their centre of mass, at once at full speed."""
+        volumes = self.batch.model.mesh.node_volumes
+        centres = np.array([centre_of_mass(self.lifted_positions[candidate], volumes) for candidate in candidates])
+        speed = self.batch.options.reorientation_speed
+        self.simulator.set_spin(worlds, centres, speed * axes, np.zeros_like(axes))
+
     def _advance(self, jobs: list[tuple[Candidate, int]], active: np.ndarray, gravity: np.ndarray, turn: int):
         """Take one step with gravity turned a little further; return who goes on."""
         if not len(active) or self.batch.canceled():
             return self._drop(jobs, active, {i: CANCELED for i in range(len(active))}, turn)
-        quasi_static = self.batch.options.reorientation_settles
-        failures = self._step([jobs[i][0] for i in active], active, gravity, quasi_static=quasi_static)
+        failures = self._step([jobs[i][0] for i in active], active, gravity, quasi_static=self.settles)
         return self._drop(jobs, active, failures, turn)
 
     def _drop(self, jobs, active: np.ndarray, failures: dict[int, Failure], turn: int) -> np.ndarray:
@@ -161,8 +170,10 @@ class Reorientation:
         active = np.arange(len(worlds))
         positions = self.simulator.positions(worlds)
         for _ in range(SETTLE_STEPS):
-            if not len(active) or self.batch.canceled():
+            if not len(active):
                 break
+            if self.batch.canceled():
+                return failures | {int(i): CANCELED for i in active}
             some = self._step([candidates[i] for i in active], worlds[active], gravity[active], quasi_static=True)
             last, positions[active] = positions[active], self.simulator.positions(worlds[active])
             moves = largest_motion(last, positions[active]) >= REST_CHANGE * self.size
@@ -176,8 +187,7 @@ class Reorientation:
         self, candidates: list[Candidate], worlds: np.ndarray, gravity: np.ndarray, *, quasi_static: bool
     ) -> dict[int, Failure]:
         """Advance some worlds; return which failed, and why."""
-        simulator = self.simulator
-        h = self.h if quasi_static else self.batch.options.time_step
+        simulator, h = self.simulator, self.h
         simulator.set_gravity(worlds, gravity)
         forces = np.array([self.forces[candidate] for candidate in candidates])
         report = simulator.step(worlds, h, forces, np.zeros(len(worlds)), quasi_static=quasi_static)
