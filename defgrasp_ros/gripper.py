@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import yaml
 
 from defgrasp_ros.checks import require_in_range
 from defgrasp_ros.configuration import config_file
@@ -114,6 +113,8 @@ def load_gripper(name: str = DEFAULT_GRIPPER) -> Gripper:
         NotFoundError: If there is no such gripper.
         InvalidOptionsError: If a value in the file is missing, unknown or outside its range.
     """
+    import yaml
+
     path = config_file(f"grippers/{name}.yaml")
     if not path.is_file():
         known = sorted(p.stem for p in path.parent.glob("*.yaml"))
