@@ -21,6 +21,7 @@ import multiprocessing
 import os
 import platform
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -48,7 +49,7 @@ HELD_FORCE = 2 * 1.749
 """Closing force on the held block [N]."""
 HELD_TIME = 1.0
 """Time for which it hangs, at the end of which its creep is measured [s]."""
-DEFAULT_SCENES = ("block", "held")
+DEFAULT_SCENES = ("rectangle", "held")
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,12 @@ def measure_squeeze(case: Case) -> list[dict]:
         with recorded_stages(thread_clock(device)) as times:
             squeeze.run()
         stages = stage_rows(times, floors(times, model.mesh, device))
+    problems, systems = times.problems.total(), times.systems.total()
+    contacts = {
+        "mean_contact_points": mean(times.problems),
+        "systems_per_contact_problem": systems / max(problems, 1),
+        "mean_unknowns_of_system": mean(times.systems),
+    }
     os.sched_setaffinity(0, cores)
     del squeeze
     meter = Meter(device)
@@ -113,6 +120,7 @@ def measure_squeeze(case: Case) -> list[dict]:
             **size(model),
             **meter.read(),
             **counts(reports),
+            **contacts,
             "time_step": TIME_STEP,
             "simulated_time": TIME_STEP * len(reports),
             "setup_cpu_time": setup["cpu_time"],
@@ -191,6 +199,11 @@ def counts(reports: Sequence[StepReport]) -> dict[str, float]:
     }
 
 
+def mean(sizes: Counter) -> float:
+    """Return the mean of counted sizes."""
+    return sum(size * count for size, count in sizes.items()) / max(sizes.total(), 1)
+
+
 def stage_rows(times: StageTimes, least: dict[str, float]) -> list[dict]:
     """Return the tree of stages; the floor of a stage with several places in it is shared out by time."""
     rows = []
@@ -238,6 +251,10 @@ def print_row(row: dict) -> None:
     if "picked_up" in row:
         print(f"  {row['picked_up']} of {environments} picked up; {row['wall_time'] / environments:.2f} s per grasp")
     if "stages" in row:
+        print(
+            f"  contact problems: {row['mean_contact_points']:.0f} points, "
+            f"{row['systems_per_contact_problem']:.1f} linear systems of {row['mean_unknowns_of_system']:.0f} unknowns"
+        )
         print_stages(row["stages"], steps)
 
 

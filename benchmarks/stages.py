@@ -14,8 +14,8 @@ import numpy as np
 import warp as wp
 
 from defgrasp_ros.mesh.tet_mesh import TetMesh
+from defgrasp_ros.simulation import contact_set, coulomb, stepper
 from defgrasp_ros.simulation import kernels_elasticity as elastic
-from defgrasp_ros.simulation import stepper
 from defgrasp_ros.simulation.anderson import DEPTH, Anderson
 from defgrasp_ros.simulation.contact_set import ContactSet
 from defgrasp_ros.simulation.dense import multiply_rows
@@ -23,8 +23,8 @@ from defgrasp_ros.simulation.stepper import Stepper
 
 ELEMENT_PASS = 0.2e-6
 """Floor of the element pass: processor time per tetrahedron [s]."""
-SAMPLED_PRODUCTS = 8
-"""Sizes of the shared product that are timed on their own; the others are interpolated."""
+SAMPLES = 8
+"""Sizes of products and linear systems that are timed on their own; the others are interpolated."""
 REPETITIONS = 3
 """The best of so many bare products or memory passes counts."""
 
@@ -61,6 +61,10 @@ class StageTimes:
     """Environments that a stage went over, summed over its calls, by name."""
     products: Counter = field(default_factory=Counter)
     """Calls of the shared product by number of rows."""
+    problems: Counter = field(default_factory=Counter)
+    """Contact problems by number of points."""
+    systems: Counter = field(default_factory=Counter)
+    """Linear systems of the contact problems by number of unknowns."""
     _path: tuple[str, ...] = ()
 
     @contextmanager
@@ -115,6 +119,8 @@ def recorded_stages(clock: Callable[[], float]) -> Iterator[StageTimes]:
         for owner, attribute, name in METHODS:
             patches.enter_context(patch.object(owner, attribute, _timed(times, getattr(owner, attribute), name)))
         patches.enter_context(patch.object(Stepper, "_launch", _timed_launch(times)))
+        patches.enter_context(patch.object(contact_set, "solve_contacts", _counted_problems(times)))
+        patches.enter_context(patch.object(coulomb, "_newton_direction", _counted_systems(times)))
         yield times
 
 
@@ -149,16 +155,36 @@ def _timed_launch(times: StageTimes) -> Callable:
     return call
 
 
+def _counted_problems(times: StageTimes) -> Callable:
+    solve = contact_set.solve_contacts
+
+    def call(problem: coulomb.ContactProblem, *arguments):
+        times.problems[len(problem.offset) // 3] += 1
+        return solve(problem, *arguments)
+
+    return call
+
+
+def _counted_systems(times: StageTimes) -> Callable:
+    solve = coulomb._newton_direction
+
+    def call(problem: coulomb.ContactProblem, scale: float, trial: np.ndarray, *arguments):
+        times.systems[3 * int((trial[::3] > 0.0).sum())] += 1
+        return solve(problem, scale, trial, *arguments)
+
+    return call
+
+
 def floors(times: StageTimes, mesh: TetMesh, device: wp.Device) -> dict[str, float]:
     """Return the least time that stages could have taken [s], measured now on one core or the device.
 
-    The shared product: the same BLAS calls, bare. The element pass: ``ELEMENT_PASS``, on the CPU. The others that go
-    over all nodes: one pass over the bytes they must read and write.
+    The shared product: the same BLAS calls, bare. The contact solve: its linear systems, bare. The element pass:
+    ``ELEMENT_PASS``, on the CPU. The others that go over all nodes: one pass over the bytes they must read and write.
     """
     nodes, entries, tets = len(mesh.vertices), mesh.elements.size, len(mesh.tetrahedra)
     residuals = times.rows["residual"]
     pass_time = memory_pass_time(device)
-    result = {"shared product": bare_products(times, 3 * nodes, device)}
+    result = {"shared product": bare_products(times, 3 * nodes, device), "contact solve": bare_systems(times)}
     if not device.is_cuda:
         result["element pass"] = residuals * tets * ELEMENT_PASS
     # A vector has 24 bytes, a rotation 72. Nodal residual: three fields and the elements' forces in, the
@@ -174,19 +200,36 @@ def floors(times: StageTimes, mesh: TetMesh, device: wp.Device) -> dict[str, flo
 
 
 def bare_products(times: StageTimes, size: int, device: wp.Device) -> float:
-    """Return the time of all shared products of a run, done alone with NumPy, or with the kernel on CUDA [s]."""
-    if not times.products:
-        return 0.0
-    counts = np.array(sorted(times.products))
-    sampled = counts[np.unique(np.linspace(0, len(counts) - 1, SAMPLED_PRODUCTS).round().astype(int))]
+    """Return the time of all shared products of a run, done alone with BLAS, or with the kernel on CUDA [s]."""
     matrix = wp.array(np.random.default_rng(0).random((size, size)), dtype=wp.float64, device=device)
-    clock, measured = thread_clock(device), []
-    for count in sampled:
+    clock = thread_clock(device)
+
+    def bare(count: int) -> float:
         rows, out = (wp.zeros((count, size), dtype=wp.float64, device=device) for _ in range(2))
         rows.fill_(1.0)
-        measured.append(_best(lambda rows=rows, out=out: multiply_rows(rows, matrix, out), clock))
-    each = np.interp(counts, sampled, measured)
-    return float(each @ [times.products[count] for count in counts])
+        return _best(lambda: multiply_rows(rows, matrix, out), clock)
+
+    return _total(times.products, bare)
+
+
+def bare_systems(times: StageTimes) -> float:
+    """Return the time of all linear systems of the contact problems, done alone with LAPACK [s]."""
+
+    def bare(size: int) -> float:
+        matrix = np.random.default_rng(0).random((size, size)) + size * np.eye(size)
+        return _best(lambda: np.linalg.solve(matrix, np.ones(size)), time.thread_time)
+
+    return _total(times.systems, bare)
+
+
+def _total(calls: Counter, bare: Callable[[int], float]) -> float:
+    """Return the time of calls by size [s], some sizes timed, the others interpolated."""
+    if not calls:
+        return 0.0
+    sizes = np.array(sorted(calls))
+    sampled = sizes[np.unique(np.linspace(0, len(sizes) - 1, SAMPLES).round().astype(int))]
+    each = np.interp(sizes, sampled, [bare(int(size)) for size in sampled])
+    return float(each @ [calls[size] for size in sizes])
 
 
 def memory_pass_time(device: wp.Device, size: int = 2**25) -> float:
