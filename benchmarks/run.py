@@ -1,6 +1,6 @@
 """Cost of a time step, stage by stage, over scenes, environments and stiffnesses.
 
-Run: ``python benchmarks/run.py`` (two to four minutes), or with ``--scene``, ``--environments`` and ``--youngs-modulus``
+Run: ``python benchmarks/run.py`` (two to four minutes), or with ``--scene``, ``--environments``, ``--youngs-modulus``
 for other combinations; ``--json FILE`` keeps all numbers. It needs Python, Warp, NumPy, SciPy and this repository;
 without installing: ``PYTHONPATH=. python benchmarks/run.py``.
 
