@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import yaml
 
 from defgrasp_ros.checks import require_in_range
 from defgrasp_ros.configuration import config_file
@@ -125,6 +124,8 @@ def load_gripper(name: str = DEFAULT_GRIPPER) -> Gripper:
         NotFoundError: If there is no such gripper.
         InvalidOptionsError: If a value in the file is missing, unknown or outside its range.
     """
+    import yaml
+
     path = config_file(f"grippers/{name}.yaml")
     if name not in gripper_names():
         raise NotFoundError(f"gripper '{name}' is unknown; known: {', '.join(gripper_names())}")
