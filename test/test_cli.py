@@ -47,7 +47,7 @@ def grasps(tmp_path_factory) -> Path:
 
 def test_json_is_all_that_is_printed(block, grasps):
     """Standard output holds one JSON document with the names of the messages, and null for what was not measured."""
-    run = defgrasp("evaluate", block, "--grasps", grasps, "--youngs-modulus", "1e5", "--hold-time", "0.2", "--json")
+    run = defgrasp("evaluate", block, "--grasps", grasps, "--youngs-modulus", "1e5", "--pickup-hold-time", "0.2", "--json")
     assert run.returncode == 0, run.stderr
     document = json.loads(run.stdout)
     assert document["material"]["youngs_modulus"] == 1e5
@@ -67,7 +67,7 @@ def test_json_is_all_that_is_printed(block, grasps):
 
 def test_table_names_units_and_reasons(block, grasps):
     """Without --json a table appears, and under it why each other grasp failed; rows keep their index."""
-    run = defgrasp("evaluate", block, "--grasps", grasps, "--grasp-indices", "1,0", "--hold-time", "0.1")
+    run = defgrasp("evaluate", block, "--grasps", grasps, "--grasp-indices", "1,0", "--pickup-hold-time", "0.1")
     assert run.returncode == 0, run.stderr
     assert "1 OK, 1 NO_CONTACT" in run.stdout
     assert "beside: the object is not between the pads" in run.stdout
@@ -82,7 +82,7 @@ def test_output_folder_holds_document_and_picture(block, grasps, tmp_path):
         grasps,
         "--grasp-indices",
         "1",
-        "--hold-time",
+        "--pickup-hold-time",
         "0.1",
         "--output",
         tmp_path / "out",
@@ -99,7 +99,7 @@ def test_output_folder_holds_document_and_picture(block, grasps, tmp_path):
     [
         (["--youngs-modulus", "-3"], "INVALID_MATERIAL: material.youngs_modulus = -3 Pa"),
         (["--density", "nan"], "INVALID_MATERIAL: material.density = nan"),
-        (["--hold-time", "-1"], "INVALID_OPTIONS: options.pickup_hold_time = -1 s"),
+        (["--pickup-hold-time", "-1"], "INVALID_OPTIONS: options.pickup_hold_time = -1 s"),
         (["--grasp-indices", "9"], "row 9 does not exist; the file has rows 0 to 2"),
         (["--grasp-indices", "a"], "is not a list of row numbers"),
         (["--gripper", "claw"], "NOT_FOUND: gripper 'claw' is unknown; known: franka_hand, robotiq_2f_85, round_pads"),
