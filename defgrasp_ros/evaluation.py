@@ -55,7 +55,7 @@ class EvaluationOptions:
 
     experiments: frozenset[Experiment] = frozenset({Experiment.PICKUP})
     force_safety_factor: float = option(
-        1.3, "Target force of a grasp that names none is this x m g / friction coefficient", "-", 0.0, 1e3, low_open=True
+        1.3, "Default target force of a grasp is this x m g / friction coefficient", "-", 0.0, 1e3, low_open=True
     )
     pickup_hold_time: float = option(
         5.0, "How long both fingers must keep contact after the platform has gone", "s", 0.0, 600.0

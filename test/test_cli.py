@@ -47,7 +47,8 @@ def grasps(tmp_path_factory) -> Path:
 
 def test_json_is_all_that_is_printed(block, grasps):
     """Standard output holds one JSON document with the names of the messages, and null for what was not measured."""
-    run = defgrasp("evaluate", block, "--grasps", grasps, "--youngs-modulus", "1e5", "--pickup-hold-time", "0.2", "--json")
+    given = ["--youngs-modulus", "1e5", "--pickup-hold-time", "0.2"]
+    run = defgrasp("evaluate", block, "--grasps", grasps, *given, "--json")
     assert run.returncode == 0, run.stderr
     document = json.loads(run.stdout)
     assert document["material"]["youngs_modulus"] == 1e5

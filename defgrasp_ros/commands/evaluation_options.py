@@ -10,15 +10,14 @@ from typing import Annotated, Any
 import typer
 
 from defgrasp_ros.evaluation import ALL_EXPERIMENTS, EvaluationOptions, Experiment
-from defgrasp_ros.option import options_of
+from defgrasp_ros.option import Option, options_of
 from defgrasp_ros.presets import load_preset, preset_names
 
 Experiments = Annotated[
     str | None,
     typer.Option(
         metavar="NAMES",
-        help=f"What is done, with commas: {', '.join(Experiment)}; or {ALL_EXPERIMENTS}. The pickup is always part of it",
-        show_default=str(Experiment.PICKUP),
+        help=f"What is done, with commas: {', '.join(Experiment)}; or {ALL_EXPERIMENTS}. The pickup is always done",
     ),
 ]
 Preset = Annotated[
@@ -42,7 +41,7 @@ def with_constants(command: Callable[..., None]) -> Callable[..., None]:
             name,
             inspect.Parameter.KEYWORD_ONLY,
             default=None,
-            annotation=Annotated[option.kind | None, typer.Option(help=option.text, show_default=_text(option.default))],
+            annotation=Annotated[option.kind | None, typer.Option(help=_help(option), show_default=False)],
         )
         for name, option in options_of(EvaluationOptions).items()
     ]
@@ -61,5 +60,6 @@ def evaluation_options(preset: str | None, **given: Any) -> EvaluationOptions:
     return dataclasses.replace(base, **{name: value for name, value in given.items() if value is not None})
 
 
-def _text(default: Any) -> str:
-    return str(default).lower() if isinstance(default, bool) else f"{default:g}"
+def _help(option: Option) -> str:
+    default = str(option.default).lower() if option.kind is bool else f"{option.default:g}"
+    return f"{option.text}  [default: {default}]"
