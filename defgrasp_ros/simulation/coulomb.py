@@ -20,9 +20,14 @@ import numpy as np
 
 MAX_NEWTON_ITERATIONS = 20
 """For one attempt."""
+MEMORY = 5
+"""Iterations over which the line search compares: a step may climb out of a local minimum of the norm."""
 NEWTON_REGULARISATION = 1e-6
 """Shift of the diagonal [-]: neighbouring points can depend on each other, this picks one of the equal solutions."""
+TINY = 1e-300
+"""Keeps a division by a length of zero finite."""
 SUFFICIENT_DECREASE = 0.1
+STEP_SHRINKAGE = 0.3
 SHORTEST_STEP = 1e-3
 
 
@@ -66,11 +71,11 @@ def solve_contacts(problem: ContactProblem, start: np.ndarray, tolerance: float)
     # each combination fails on problems that another one solves.
     elastic, mean = problem.rho, 0.2 * np.sqrt(problem.rho * np.trace(problem.matrix))
     none = np.zeros_like(start)
-    attempts = [(start, mean), (start, 10.0 * elastic), (start, elastic)]
-    attempts += [(none, mean), (none, elastic), (none, 10.0 * elastic)]
+    attempts = [(start, mean, MEMORY), (start, elastic, 1), (start, 10.0 * elastic, 1)]
+    attempts += [(none, 100.0 * elastic, MEMORY), (none, mean, MEMORY), (start, 100.0 * mean, MEMORY)]
     best, least = start, np.inf
-    for number, (guess, scale) in enumerate(attempts):
-        force, residual = semismooth_newton(problem, scale, guess, tolerance)
+    for number, (guess, scale, memory) in enumerate(attempts):
+        force, residual = semismooth_newton(problem, scale, guess, tolerance, memory)
         if residual < least:
             best, least = force, residual
         if residual <= tolerance:
@@ -79,7 +84,7 @@ def solve_contacts(problem: ContactProblem, start: np.ndarray, tolerance: float)
 
 
 def semismooth_newton(
-    problem: ContactProblem, scale: float, start: np.ndarray, tolerance: float
+    problem: ContactProblem, scale: float, start: np.ndarray, tolerance: float, memory: int = 1
 ) -> tuple[np.ndarray, float]:
     """Newton's method on Alart and Curnier's function (1991), with a line search on its norm.
 
@@ -91,6 +96,7 @@ def semismooth_newton(
         scale: r [m/N], from force to motion; it sets the path, not the solution.
         start: First guess [N], shape ``(3 contact,)``.
         tolerance: Residual of the natural map at which to stop [N].
+        memory: Number of iterations whose largest norm a step must undercut; 1 lets the norm only fall.
 
     Returns:
         Forces [N], shape ``(3 contact,)``, and the residual of the natural map [N].
@@ -98,6 +104,7 @@ def semismooth_newton(
     force, motion = start, problem.motion(start)
     trial = force - motion / scale
     value = force - _alart_curnier(trial, problem.friction)
+    norms = [np.linalg.norm(value)]
     for _ in range(MAX_NEWTON_ITERATIONS):
         residual = problem.residual(force, motion)
         if residual <= tolerance:
@@ -105,16 +112,18 @@ def semismooth_newton(
         direction = _newton_direction(problem, scale, trial, value)
         if direction is None:
             return force, residual
-        change, merit, length = problem.matrix @ direction, np.linalg.norm(value), 1.0
+        change, reference, length = problem.matrix @ direction, max(norms[-memory:]), 1.0
         if not np.isfinite(change @ change):
             return force, residual
         while True:
             next_force, next_motion = force + length * direction, motion + length * change
             trial = next_force - next_motion / scale
             value = next_force - _alart_curnier(trial, problem.friction)
-            if np.linalg.norm(value) < (1.0 - SUFFICIENT_DECREASE * length) * merit or length < SHORTEST_STEP:
+            norm = np.linalg.norm(value)
+            if norm < (1.0 - SUFFICIENT_DECREASE * length) * reference or length < SHORTEST_STEP:
                 break
-            length *= 0.5
+            length *= STEP_SHRINKAGE
+        norms.append(norm)
         force, motion = next_force, next_motion
     return force, problem.residual(force, motion)
 
@@ -157,13 +166,10 @@ def _newton_direction(problem: ContactProblem, scale: float, trial: np.ndarray, 
 def _alart_curnier(trial: np.ndarray, friction: float) -> np.ndarray:
     """Return (max(0, n), projection of t on the disk of radius mu max(0, n)); shapes ``(3 contact,)`` [N]."""
     trial = trial.reshape(-1, 3)
-    projected = trial.copy()
     normal = np.maximum(trial[:, 0], 0.0)
-    length, radius = np.hypot(trial[:, 1], trial[:, 2]), friction * normal
-    sliding = length > radius
-    projected[:, 0] = normal
-    projected[sliding, 1:] *= (radius[sliding] / length[sliding])[:, None]
-    return projected.reshape(-1)
+    radius, length = friction * normal, np.hypot(trial[:, 1], trial[:, 2])
+    share = np.minimum(1.0, radius / np.maximum(length, TINY))
+    return np.stack([normal, share * trial[:, 1], share * trial[:, 2]], axis=1).reshape(-1)
 
 
 def _alart_curnier_slope(trial: np.ndarray, friction: float) -> np.ndarray:
@@ -191,12 +197,10 @@ def _alart_curnier_slope(trial: np.ndarray, friction: float) -> np.ndarray:
 def project_on_cone(v: np.ndarray, friction: float) -> np.ndarray:
     """Return the points of the Coulomb cone |v_t| <= mu v_n closest to v, shape ``(contact, 3)``."""
     tangential = np.hypot(v[:, 1], v[:, 2])
+    inside = tangential <= friction * v[:, 0]
     normal = np.maximum((v[:, 0] + friction * tangential) / (1.0 + friction**2), 0.0)
-    outside = tangential > friction * v[:, 0]
-    projected = v.copy()
-    projected[outside, 0] = normal[outside]
-    projected[outside, 1:] *= (friction * normal[outside] / np.maximum(tangential[outside], 1e-300))[:, None]
-    return projected
+    share = np.where(inside, 1.0, friction * normal / np.maximum(tangential, TINY))
+    return np.stack([np.where(inside, v[:, 0], normal), share * v[:, 1], share * v[:, 2]], axis=1)
 
 
 def with_de_saxce(motion: np.ndarray, friction: float) -> np.ndarray:
