@@ -7,7 +7,7 @@ Names are those of the messages in ``defgrasp_interfaces``; the paper's short na
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 
@@ -102,6 +102,8 @@ class EvaluationOptions:
     def _known_experiments(self) -> frozenset[Experiment]:
         """Return the experiments as such, with the pickup among them."""
         names = self.experiments.split(",") if isinstance(self.experiments, str) else self.experiments
+        if not isinstance(names, Collection) or not all(isinstance(name, str) for name in names):
+            raise InvalidOptionsError(f"options.experiments = {names!r} is no list of names")
         unknown = sorted(set(names) - {*Experiment, ALL_EXPERIMENTS})
         if unknown:
             known = ", ".join((*Experiment, ALL_EXPERIMENTS))

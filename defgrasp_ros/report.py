@@ -198,7 +198,8 @@ def _reasons_of_experiments(evaluation: GraspEvaluation) -> Iterator[str]:
         result = getattr(evaluation, name)
         if result:
             for reason, count in Counter(filter(None, result.reasons)).items():
-                yield f"{_spoken(name)}, {count} of {len(result.reasons)} directions: {reason}"
+                noun = "axes" if name == Experiment.REORIENTATION else "directions"
+                yield f"{_spoken(name)}, {count} of {len(result.reasons)} {noun}: {reason}"
     if evaluation.squeeze and evaluation.squeeze.reason:
         yield f"{_spoken(Experiment.SQUEEZE)} {evaluation.squeeze.reason}"
 
