@@ -68,6 +68,14 @@ def test_only_allowed_folders_are_read(tmp_path):
             path_of_uri(f"file://{tmp_path}/{path}", [allowed])
 
 
+def test_links_of_a_package_do_not_lead_out_of_the_allowed_folders(package, tmp_path):
+    """A link inside of a package is followed before the folders are compared."""
+    (package / "link").symlink_to(tmp_path)
+    assert path_of_uri("package://toys/meshes/a.stl", [package])
+    with pytest.raises(InvalidMeshError, match="mesh_directories"):
+        path_of_uri("package://toys/link/secret.stl", [package])
+
+
 def test_zero_byte_is_refused():
     """It would end the path for the operating system."""
     with pytest.raises(InvalidMeshError, match="zero byte"):

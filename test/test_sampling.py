@@ -1,14 +1,20 @@
 """Samplers of candidate grasps, checked with an independent ray caster."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 from defgrasp_ros.errors import EmptyGraspListError, InvalidOptionsError
+from defgrasp_ros.evaluation import EvaluationOptions
+from defgrasp_ros.experiments import evaluate_grasps
 from defgrasp_ros.gripper import load_gripper
+from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.box_overlap import triangles_meeting_box
 from defgrasp_ros.mesh.rays import RayCaster
 from defgrasp_ros.mesh.shapes import kidney_surface
+from defgrasp_ros.object_model import ObjectModel
 from defgrasp_ros.objects import find_object
 from defgrasp_ros.sampling import SAMPLERS, Fit, HandFit, antipodal_grasps, sample_grasps
 from defgrasp_ros.sampling.antipodal import DEFAULT_CONE
@@ -121,6 +127,15 @@ def test_fit_of_a_hand_from_above(height, expected):
     assert fit.check(np.array([0.0, 0.0, height]), down) is expected
 
 
+def test_hand_without_palm_collides_with_its_fingers_alone():
+    """Where no palm is described, nothing is between the fingers that could touch."""
+    cube = trimesh.creation.box([0.04, 0.04, 0.04])
+    down = np.diag([1.0, -1.0, -1.0])
+    fit = HandFit(cube.vertices, cube.faces, replace(HAND, palm=None))
+    assert fit.check(np.array([0.0, 0.0, -0.05]), down) is Fit.FREE
+    assert HandFit(cube.vertices, cube.faces, HAND).check(np.array([0.0, 0.0, -0.05]), down) is Fit.PALM_COLLISION
+
+
 def test_finger_and_swallowed_finger_are_collisions():
     """A finger that touches the surface collides, and so does one that is wholly inside a large body."""
     down = np.diag([1.0, -1.0, -1.0])
@@ -191,3 +206,15 @@ def test_fifty_grasps_on_objects_of_all_kinds(name, gripper):
         assert set(rays) == {0, 1}
         assert (np.linalg.norm(hits - starts[rays], axis=1) < hand.max_opening).all()
         assert candidate.angle <= DEFAULT_CONE + 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("name", ["ellipsoid", "cube", "cylinder", "potato"])
+def test_most_sampled_grasps_hold(name):
+    """At E = 2e5 Pa, at least 60 % of the grasps on a compact convex object pick it up."""
+    entry = find_object(name)
+    grasps = sample_grasps(*with_fewer_triangles(*entry.surface()), HAND, 8, seed=2)
+    model = ObjectModel(name, entry.mesh(0.01), Material(youngs_modulus=2e5))
+    evaluations = evaluate_grasps(model, grasps, HAND, EvaluationOptions(pickup_hold_time=0.5))
+    assert sum(evaluation.metrics.pickup_success for evaluation in evaluations) >= 0.6 * len(grasps)

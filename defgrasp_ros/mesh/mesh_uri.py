@@ -16,12 +16,12 @@ PACKAGE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
 
 def path_of_uri(uri: str, allowed: Sequence[Path] = ()) -> Path:
-    """Return the file of a URI, percent signs decoded, links followed.
+    """Return the file of a URI, percent signs decoded.
 
     Args:
         uri: ``file:///absolute/path``, or ``package://name/path`` below the share folder of a ROS package, from which
             a path cannot lead out.
-        allowed: Folders in or below which the file must be; empty: anywhere.
+        allowed: Folders in or below which the file must be when links are followed; empty: anywhere.
 
     Raises:
         NotFoundError: If there is no such package.
@@ -42,7 +42,7 @@ def path_of_uri(uri: str, allowed: Sequence[Path] = ()) -> Path:
             )
         path = Path(location).resolve()
     folders = [folder.expanduser().resolve() for folder in allowed]
-    if folders and not any(path.is_relative_to(folder) for folder in folders):
+    if folders and not any(path.resolve().is_relative_to(folder) for folder in folders):
         listed = ", ".join(map(str, folders))
         raise InvalidMeshError(
             f"'{uri}' may not be read: it is in none of the evaluator's mesh_directories ({listed}); put the file "

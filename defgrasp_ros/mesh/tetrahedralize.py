@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 MAX_TETRAHEDRA = 20_000
 """About 4500 nodes, for which each dense inverse of the simulation takes 1.5 GB."""
 
-DEFAULT_TETRAHEDRA, DEFAULT_BOUNDARY_FACES = 3_400, 1_800
+DEFAULT_TETRAHEDRA, DEFAULT_BOUNDARY_FACES = 3_400, 1_100
 """Size aimed at where no edge length is asked for: of a compact body, and of a thin one; about 1 000 nodes."""
 
 EDGE_BY_ORDER = {1: 1.0, 2: 2.5}

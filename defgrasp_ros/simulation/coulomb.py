@@ -8,18 +8,21 @@ which is  K  contains  lambda  _|_  w + mu |w_t| n  in  K*  with the Coulomb con
 solution is that of the natural map, |lambda - Proj_K(lambda - (w + mu |w_t| n) / rho)| [N], largest over the contacts.
 
 A semismooth Newton method starts from the forces of the iteration before; it mostly needs one to four linear systems.
-Where it gets stuck it starts again, with another scaling or from no forces at all.
+Where it gets stuck it starts again, with another scaling and then from random forces; these are the same in every run.
 Vectors of a contact are (normal, tangential, tangential).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-MAX_NEWTON_ITERATIONS = 20
+MAX_NEWTON_ITERATIONS = 30
 """For one attempt."""
+RANDOM_STARTS = 10
+"""Attempts from random forces; on the hardest problems that were seen, one in three succeeds."""
 MEMORY = 5
 """Iterations over which the line search compares: a step may climb out of a local minimum of the norm."""
 NEWTON_REGULARISATION = 1e-6
@@ -67,20 +70,31 @@ def solve_contacts(problem: ContactProblem, start: np.ndarray, tolerance: float)
         Forces [N], shape ``(3 contact,)``, and whether the first attempt failed. Forces that obey the laws less well
         than asked for are the best that were found; the caller's own residual tells.
     """
-    # From force to motion there is an elastic scale and one of the rigid body. The best mostly lies between them, but
-    # each combination fails on problems that another one solves.
-    elastic, mean = problem.rho, 0.2 * np.sqrt(problem.rho * np.trace(problem.matrix))
-    none = np.zeros_like(start)
-    attempts = [(start, mean, MEMORY), (start, elastic, 1), (start, 10.0 * elastic, 1)]
-    attempts += [(none, 100.0 * elastic, MEMORY), (none, mean, MEMORY), (start, 100.0 * mean, MEMORY)]
     best, least = start, np.inf
-    for number, (guess, scale, memory) in enumerate(attempts):
+    for number, (guess, scale, memory) in enumerate(_attempts(problem, start)):
         force, residual = semismooth_newton(problem, scale, guess, tolerance, memory)
         if residual < least:
             best, least = force, residual
         if residual <= tolerance:
             return best, number > 0
     return best, True
+
+
+def _attempts(problem: ContactProblem, start: np.ndarray) -> Iterator[tuple[np.ndarray, float, int]]:
+    """Yield first guess, scale and memory for Newton's method, most promising first.
+
+    From force to motion there is an elastic scale and one of the rigid body. The best mostly lies between them, but each
+    combination fails on problems that another one solves. Random guesses are normal forces without friction.
+    """
+    elastic, mean = problem.rho, 0.2 * np.sqrt(problem.rho * np.trace(problem.matrix))
+    yield start, mean, MEMORY
+    yield start, elastic, 1
+    yield start, 10.0 * elastic, 1
+    random, level = np.random.default_rng(len(start)), 2.0 * np.abs(start[::3]).mean()
+    for _ in range(RANDOM_STARTS):
+        guess = np.zeros_like(start)
+        guess[::3] = level * random.random(len(start) // 3)
+        yield guess, mean, MEMORY
 
 
 def semismooth_newton(
