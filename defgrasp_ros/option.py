@@ -42,6 +42,11 @@ class Option:
         return f"{self.meaning} [{self.unit}], in {interval(self.low, self.high, self.low_open)}"
 
     @property
+    def default_text(self) -> str:
+        """The default as people write it."""
+        return str(self.default).lower() if self.kind is bool else f"{self.default:g}"
+
+    @property
     def kind(self) -> type:
         """Type of its values."""
         return type(self.default)

@@ -103,3 +103,10 @@ def test_every_number_says_its_unit_and_range():
         assert f" [{OPTIONS[name].unit}], in " in OPTIONS[name].text
     fields = {field.name for field in dataclasses.fields(EvaluationOptions)}
     assert fields - set(OPTIONS) == {"experiments", "return_fields"}
+
+
+def test_page_of_the_protocol_lists_every_constant():
+    """docs/protocol.md has each constant with its default, meaning, unit and range."""
+    page = (Path(__file__).resolve().parents[1] / "docs" / "protocol.md").read_text()
+    for name, option in OPTIONS.items():
+        assert f"| `{name}` | {option.default_text} | {option.text} |\n" in page

@@ -61,5 +61,4 @@ def evaluation_options(preset: str | None, **given: Any) -> EvaluationOptions:
 
 
 def _help(option: Option) -> str:
-    default = str(option.default).lower() if option.kind is bool else f"{option.default:g}"
-    return f"{option.text}  [default: {default}]"
+    return f"{option.text}  [default: {option.default_text}]"
