@@ -40,8 +40,14 @@ def require_in_range(
     below = number <= low if low_open else number < low
     above = number >= high if high_open else number > high
     if not math.isfinite(number) or below or above:
-        left = "(" if low_open or math.isinf(low) else "["
-        right = ")" if high_open or math.isinf(high) else "]"
         suffix = f" {unit}" if unit else ""
-        raise error(f"{name} = {number:g}{suffix} is outside {left}{low:g}, {high:g}{right}{suffix}")
+        allowed = interval(low, high, low_open, high_open)
+        raise error(f"{name} = {number:g}{suffix} is outside {allowed}{suffix}")
     return number
+
+
+def interval(low: float, high: float, low_open: bool = False, high_open: bool = False) -> str:
+    """Return an interval as text, e.g. ``"(0, 1]"``; infinite ends are open."""
+    left = "(" if low_open or math.isinf(low) else "["
+    right = ")" if high_open or math.isinf(high) else "]"
+    return f"{left}{low:g}, {high:g}{right}"

@@ -15,6 +15,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from defgrasp_ros import evaluation as ev
+from defgrasp_ros.commands.evaluation_options import Experiments, Preset, evaluation_options, with_constants
 from defgrasp_ros.commands.grippers import grippers
 from defgrasp_ros.commands.mesh import mesh
 from defgrasp_ros.commands.object_argument import (
@@ -42,7 +43,6 @@ app.command()(grippers)
 app.command()(mesh)
 app.command()(objects)
 app.command()(sample)
-DEFAULTS = ev.EvaluationOptions()
 
 
 @app.callback()
@@ -51,6 +51,7 @@ def _defgrasp() -> None:
 
 
 @app.command()
+@with_constants
 def evaluate(
     object: ObjectArgument,
     grasps: Annotated[Path, typer.Option(help="Grasp poses: .json in our frame, or .h5 of DefGraspSim")],
@@ -72,21 +73,19 @@ def evaluate(
         int, typer.Option(help="1: tetrahedra of four nodes; 2: of ten, which do not lock in bending")
     ] = 1,
     gripper: Annotated[str, typer.Option(help="Gripper description in config/grippers")] = DEFAULT_GRIPPER,
-    safety_factor: Annotated[
-        float, typer.Option(help="Target force = factor x m g / mu [-]")
-    ] = DEFAULTS.force_safety_factor,
-    hold_time: Annotated[float, typer.Option(help="How long the object must be held [s]")] = DEFAULTS.pickup_hold_time,
-    time_step: Annotated[float, typer.Option(help="Time step [s]")] = DEFAULTS.time_step,
+    experiments: Experiments = None,
+    preset: Preset = None,
     device: Annotated[str, typer.Option(help="cpu or cuda:0")] = "cpu",
     output: Annotated[Path | None, typer.Option(help="Folder for evaluations.json and evaluations.png")] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON document on standard output, and nothing else")
     ] = False,
+    **constants: float | int | bool | None,
 ) -> None:
-    """Squeeze and pick up OBJECT with every grasp; report features, metrics and why a grasp failed."""
+    """Try every grasp of OBJECT in the experiments; report features, metrics and why a grasp failed."""
     from defgrasp_ros.experiments import evaluate_grasps
     from defgrasp_ros.grasp_files import read_grasps
-    from defgrasp_ros.report import document, evaluation_table, material_text
+    from defgrasp_ros.report import document, evaluation_table, feature_table, material_text, reasons
 
     console = Console(stderr=True)
     values = {
@@ -96,12 +95,8 @@ def evaluate(
         "friction_coefficient": friction,
     }
     given = {name: value for name, value in values.items() if value is not None}
-    options = ev.EvaluationOptions(
-        force_safety_factor=safety_factor,
-        pickup_hold_time=hold_time,
-        time_step=time_step,
-        return_fields=output is not None,
-    )
+    options = evaluation_options(preset, experiments=experiments, **constants)
+    options = replace(options, return_fields=options.return_fields or output is not None)
     hand = load_gripper(gripper)
     indices, chosen = _chosen(read_grasps(grasps), grasp_indices)
     name, prepared, own = prepared_object(object, scale, edge_length, wall_thickness, edge_radius, element_order)
@@ -124,11 +119,10 @@ def evaluate(
         json.dump(result, sys.stdout, allow_nan=False)
         sys.stdout.write("\n")
         return
-    screen = Console()
-    screen.print(evaluation_table(evaluations))
-    for evaluation in evaluations:
-        if not evaluation.metrics.pickup_success:
-            screen.print(f"{evaluation.grasp_id}: {evaluation.message}", markup=False, highlight=False)
+    screen = _screen()
+    screen.print(feature_table(evaluations), evaluation_table(evaluations), sep="\n")
+    for line in (f"{evaluation.grasp_id}: {reason}" for evaluation in evaluations for reason in reasons(evaluation)):
+        screen.print(line, markup=False, highlight=False)
     counts = Counter(evaluation.code.name for evaluation in evaluations)
     screen.print(", ".join(f"{count} {name}" for name, count in counts.most_common()))
 
@@ -165,7 +159,7 @@ def validate(
         json.dump(case_document(cases), sys.stdout, allow_nan=False)
         sys.stdout.write("\n")
     else:
-        screen = Console(width=None if sys.stdout.isatty() else 200)
+        screen = _screen()
         screen.print(case_table(cases))
         screen.print(f"{len(cases)} cases, {failed} failed")
     if failed:
@@ -197,6 +191,11 @@ def _write(
     (output / "evaluations.json").write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
     draw_evaluations(output / "evaluations.png", model, hand, grasps, evaluations)
     console.print(f"wrote {output / 'evaluations.json'} and {output / 'evaluations.png'}")
+
+
+def _screen() -> Console:
+    """Standard output; wide where it is no terminal."""
+    return Console(width=None if sys.stdout.isatty() else 200)
 
 
 def _bar(console: Console) -> Progress:

@@ -131,7 +131,7 @@ class GraspEvaluatorClient:
         on_progress: Callable[[Progress], None] | None = None,
         timeout: float | None = None,
     ) -> EvaluationAnswer:
-        """Simulate squeeze and pickup with each grasp, and return when all are evaluated.
+        """Simulate the experiments of the options with each grasp, and return when all are evaluated.
 
         A grasp that fails is no exception: its evaluation has the code and the reason.
 
@@ -142,7 +142,7 @@ class GraspEvaluatorClient:
             grasps: Candidates, in the object frame.
             object_name: Name of the object in status and logs.
             gripper: Name of a gripper; empty: the evaluator's.
-            options: Constants of the experiment; None: the evaluator's.
+            options: Experiments and constants of the protocol; None: the evaluator's.
             return_fields: Whether the answer carries nodal positions and element stresses; so do ``options``.
             record: Whether the run is logged.
             on_progress: Called while the evaluator works, also on a request of someone else that comes first; runs

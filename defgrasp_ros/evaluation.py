@@ -7,13 +7,14 @@ Names are those of the messages in ``defgrasp_interfaces``; the paper's short na
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 
 import numpy as np
 
-from defgrasp_ros.checks import require_in_range
 from defgrasp_ros.errors import InvalidOptionsError, ResultCode
+from defgrasp_ros.option import option, options_of
 
 FINGER_NAMES = ("left_finger", "right_finger")
 """The two fingers in the order of every per-finger array; left is on the +y side of the grasp frame."""
@@ -32,80 +33,82 @@ class Experiment(StrEnum):
     SQUEEZE = "squeeze"
 
 
+ALL_EXPERIMENTS = "all"
+"""Stands for every experiment in a list of names."""
+
+
+def in_order(experiments: Iterable[Experiment]) -> list[Experiment]:
+    """Return experiments in the order in which they are done."""
+    return sorted(experiments, key=list(Experiment).index)
+
+
 @dataclass(frozen=True)
 class EvaluationOptions:
-    """Constants of the protocol; the defaults are the paper's.
+    """What is done with each grasp, and the constants of the protocol; the defaults are the paper's.
 
-    Args:
-        experiments: What is done; the pickup is part of every evaluation, named or not.
-        force_safety_factor: Target force is this factor x m g / mu [-].
-        pickup_hold_time: How long both fingers must keep contact after the platform has gone [s].
-        platform_speed: Speed with which the platform sinks [m/s].
-        squeeze_time: Duration of the force ramp from 0 to the target [s].
-        time_step: Time step [s]; a step that does not converge is repeated in smaller ones.
-        slip_force_limit: The reorientation's force is at most this factor x the target force [-].
-        reorientation_speed: With which the hand is turned [rad/s].
-        reorientation_settles: Whether each state comes to rest before it is recorded; else it is a snapshot in motion.
-        linear_jerk: Rate at which the linear acceleration grows [m/s^3].
-        max_linear_acceleration: At which the linear test ends [m/s^2].
-        angular_jerk: Rate at which the angular acceleration grows [rad/s^3].
-        max_angular_acceleration: At which the angular test ends [rad/s^2].
-        acceleration_time_step: Time step of the acceleration tests [s].
-        squeeze_force: Largest force of the squeeze [N], sum of both pads.
-        squeeze_force_near_rigid: The same for a Young's modulus above 1e8 Pa [N].
-        squeeze_sample_count: Number of forces at which the squeeze is recorded [-].
-        return_fields: Whether nodal positions and element stresses are kept in the results.
+    ``experiments`` takes names, too, also in one text with commas, and ``"all"``; the pickup is part of every
+    evaluation, named or not.
 
     Raises:
-        InvalidOptionsError: If a value is outside its range.
+        InvalidOptionsError: If a value is outside its range, or an experiment is unknown.
     """
 
     experiments: frozenset[Experiment] = frozenset({Experiment.PICKUP})
-    force_safety_factor: float = 1.3
-    pickup_hold_time: float = 5.0
-    platform_speed: float = 0.08
-    squeeze_time: float = 0.2
-    time_step: float = 1.0 / 200.0
-    slip_force_limit: float = 10.0
-    reorientation_speed: float = 3.0
-    reorientation_settles: bool = True
-    linear_jerk: float = 1000.0
-    max_linear_acceleration: float = 50.0
-    angular_jerk: float = 2500.0
-    max_angular_acceleration: float = 1000.0
-    acceleration_time_step: float = 1.0 / 1000.0
-    squeeze_force: float = 15.0
-    squeeze_force_near_rigid: float = 30.0
-    squeeze_sample_count: int = 50
+    force_safety_factor: float = option(
+        1.3, "Default target force of a grasp is this x m g / friction coefficient", "-", 0.0, 1e3, low_open=True
+    )
+    pickup_hold_time: float = option(
+        5.0, "How long both fingers must keep contact after the platform has gone", "s", 0.0, 600.0
+    )
+    platform_speed: float = option(0.08, "Speed with which the platform sinks", "m/s", 1e-4, 1.0)
+    squeeze_time: float = option(0.2, "Duration of a force ramp, from 0 to the target force", "s", 0.01, 60.0)
+    time_step: float = option(
+        1.0 / 200.0, "Time step; one that does not converge is repeated in smaller ones", "s", 1e-5, 0.02
+    )
+    slip_force_limit: float = option(
+        10.0, "Reorientation: the raised force is at most this x target force", "-", 1.0, 1e3
+    )
+    reorientation_speed: float = option(3.0, "Reorientation: speed with which the hand is turned", "rad/s", 0.01, 30.0)
+    reorientation_settles: bool = option(
+        True, "Reorientation: each state comes to rest before it is recorded; else it is a snapshot in motion"
+    )
+    linear_jerk: float = option(1000.0, "Linear acceleration: rate at which it grows", "m/s^3", 1.0, 1e5)
+    max_linear_acceleration: float = option(
+        50.0, "Linear acceleration: largest value, where the test ends", "m/s^2", 0.1, 1e4
+    )
+    angular_jerk: float = option(2500.0, "Angular acceleration: rate at which it grows", "rad/s^3", 1.0, 1e6)
+    max_angular_acceleration: float = option(
+        1000.0, "Angular acceleration: largest value, where the test ends", "rad/s^2", 0.1, 1e5
+    )
+    acceleration_time_step: float = option(1.0 / 1000.0, "Time step of both acceleration tests", "s", 1e-5, 0.01)
+    squeeze_force: float = option(
+        15.0, "Squeeze without gravity: largest sum of both pad forces", "N", 0.0, 1e4, low_open=True
+    )
+    squeeze_force_near_rigid: float = option(
+        30.0, "The same for a Young's modulus above 1e8 Pa", "N", 0.0, 1e4, low_open=True
+    )
+    squeeze_sample_count: int = option(
+        50, "Squeeze without gravity: number of forces at which it is recorded", "-", 1, 1000
+    )
     return_fields: bool = False
+    """Whether nodal positions and element stresses are kept in the results."""
 
     def __post_init__(self) -> None:
-        check = require_in_range
-        error = InvalidOptionsError
-        check(error, "options.force_safety_factor", self.force_safety_factor, 0.0, 1e3, low_open=True)
-        check(error, "options.pickup_hold_time", self.pickup_hold_time, 0.0, 600.0, unit="s")
-        check(error, "options.platform_speed", self.platform_speed, 1e-4, 1.0, unit="m/s")
-        check(error, "options.squeeze_time", self.squeeze_time, 0.01, 60.0, unit="s")
-        check(error, "options.time_step", self.time_step, 1e-5, 0.02, unit="s")
-        check(error, "options.slip_force_limit", self.slip_force_limit, 1.0, 1e3)
-        check(error, "options.reorientation_speed", self.reorientation_speed, 0.01, 30.0, unit="rad/s")
-        check(error, "options.linear_jerk", self.linear_jerk, 1.0, 1e5, unit="m/s^3")
-        check(error, "options.max_linear_acceleration", self.max_linear_acceleration, 0.1, 1e4, unit="m/s^2")
-        check(error, "options.angular_jerk", self.angular_jerk, 1.0, 1e6, unit="rad/s^3")
-        check(error, "options.max_angular_acceleration", self.max_angular_acceleration, 0.1, 1e5, unit="rad/s^2")
-        check(error, "options.acceleration_time_step", self.acceleration_time_step, 1e-5, 0.01, unit="s")
-        check(error, "options.squeeze_force", self.squeeze_force, 0.0, 1e4, low_open=True, unit="N")
-        check(error, "options.squeeze_force_near_rigid", self.squeeze_force_near_rigid, 0.0, 1e4, low_open=True)
-        check(error, "options.squeeze_sample_count", self.squeeze_sample_count, 1, 1000)
+        for name, described in options_of(type(self)).items():
+            value = described.checked(InvalidOptionsError, f"options.{name}", getattr(self, name))
+            object.__setattr__(self, name, value)
         object.__setattr__(self, "experiments", self._known_experiments())
 
     def _known_experiments(self) -> frozenset[Experiment]:
         """Return the experiments as such, with the pickup among them."""
-        try:
-            return frozenset({Experiment.PICKUP, *(Experiment(name) for name in self.experiments)})
-        except ValueError as unknown:
-            known = ", ".join(Experiment)
-            raise InvalidOptionsError(f"options.experiments: {unknown}; known are {known}") from None
+        names = self.experiments.split(",") if isinstance(self.experiments, str) else self.experiments
+        if not isinstance(names, Collection) or not all(isinstance(name, str) for name in names):
+            raise InvalidOptionsError(f"options.experiments = {names!r} is no list of names")
+        unknown = sorted(set(names) - {*Experiment, ALL_EXPERIMENTS})
+        if unknown:
+            known = ", ".join((*Experiment, ALL_EXPERIMENTS))
+            raise InvalidOptionsError(f"options.experiments: '{unknown[0]}' is unknown; known are {known}")
+        return frozenset(Experiment if ALL_EXPERIMENTS in names else map(Experiment, {Experiment.PICKUP, *names}))
 
 
 class Phase(IntEnum):

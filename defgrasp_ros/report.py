@@ -1,4 +1,4 @@
-"""Evaluations as a JSON document and as a table for people.
+"""Evaluations as a JSON document and as tables for people.
 
 The document uses the names of the messages in ``defgrasp_interfaces``, SI units, and null for what was not measured.
 """
@@ -7,12 +7,24 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import Counter
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from defgrasp_ros.evaluation import EvaluationOptions, FingerContact, GraspEvaluation
+from defgrasp_ros.evaluation import (
+    AccelerationResult,
+    EvaluationOptions,
+    Experiment,
+    FingerContact,
+    GraspEvaluation,
+    ReorientationResult,
+    SqueezeResult,
+    in_order,
+)
 from defgrasp_ros.material import Material
 from defgrasp_ros.object_model import ObjectModel
 
@@ -30,6 +42,13 @@ METRIC_COLUMNS = (
     ("max_deformation", "max deform.", 1e3, "mm", ".2f"),
     ("strain_energy", "strain energy", 1e3, "mJ", ".3g"),
 )
+"""Metrics of the pickup."""
+EXPERIMENT_COLUMNS = {
+    Experiment.REORIENTATION: ("deformation_controllability", "max deform. turned", 1e3, "mm", ".2f"),
+    Experiment.LINEAR_ACCELERATION: ("linear_instability", "linear instab.", 1.0, "m/s^2", ".3g"),
+    Experiment.ANGULAR_ACCELERATION: ("angular_instability", "angular instab.", 1.0, "rad/s^2", ".3g"),
+}
+"""The metric of each other experiment that has one; the experiment's value is its name in an evaluation, too."""
 
 
 def document(
@@ -39,7 +58,7 @@ def document(
     return {
         "object": object_document(model),
         "material": dataclasses.asdict(model.material),
-        "options": dataclasses.asdict(options) | {"experiments": sorted(options.experiments)},
+        "options": {**dataclasses.asdict(options), "experiments": in_order(options.experiments)},
         "device": device,
         "evaluations": [evaluation_document(evaluation) for evaluation in evaluations],
     }
@@ -76,8 +95,28 @@ def evaluation_document(evaluation: GraspEvaluation) -> dict[str, Any]:
             "simulated_time": evaluation.simulated_time,
             "wall_time": evaluation.wall_time,
             "solver": dataclasses.asdict(evaluation.solver),
+            "reorientation": _reorientation_document(evaluation.reorientation),
+            "linear_acceleration": _acceleration_document(evaluation.linear_acceleration),
+            "angular_acceleration": _acceleration_document(evaluation.angular_acceleration),
+            "squeeze": _squeeze_document(evaluation.squeeze),
         }
     )
+
+
+def _reorientation_document(result: ReorientationResult | None) -> dict[str, Any] | None:
+    return result and {name: value for name, value in vars(result).items() if name != "states"}
+
+
+def _acceleration_document(result: AccelerationResult | None) -> dict[str, Any] | None:
+    return result and vars(result)
+
+
+def _squeeze_document(result: SqueezeResult | None) -> dict[str, Any] | None:
+    """The contacts of each force that was reached are left and right finger."""
+    if result is None:
+        return None
+    contacts = [[_finger_document(finger) for finger in fingers] for fingers in result.contacts]
+    return {**{name: value for name, value in vars(result).items() if name != "states"}, "contacts": contacts}
 
 
 def _finger_document(finger: FingerContact) -> dict[str, Any]:
@@ -112,23 +151,72 @@ def material_text(material: Material) -> str:
 
 
 def evaluation_table(evaluations: list[GraspEvaluation]) -> Table:
-    """Return a table with outcome, the seven features and the metrics of each grasp."""
-    table = Table(header_style="bold", pad_edge=False)
-    table.add_column("grasp", no_wrap=True)
-    table.add_column("outcome", no_wrap=True)
-    table.add_column("force\nN", justify="right")
-    columns = (*((c, "features") for c in FEATURE_COLUMNS), *((c, "metrics") for c in METRIC_COLUMNS))
-    for (_, title, _, unit, _), _ in columns:
-        table.add_column(f"{title}\n{unit}", justify="right")
+    """Return a table with outcome and metrics of each grasp; ``>=`` marks a lower bound.
+
+    A column that belongs to an experiment is there if it was done with at least one grasp.
+    """
+    done = [name for name in EXPERIMENT_COLUMNS if any(getattr(each, name) for each in evaluations)]
+    table = _table("outcome", (*METRIC_COLUMNS, *(EXPERIMENT_COLUMNS[name] for name in done)))
     for evaluation in evaluations:
-        held = evaluation.metrics.pickup_success
-        outcome = f"[green]{evaluation.code.name}[/]" if held else f"[red]{evaluation.code.name}[/]"
-        numbers = [
-            _cell(getattr(getattr(evaluation, group), name) * factor, style)
-            for (name, _, factor, _, style), group in columns
+        color = "green" if evaluation.metrics.pickup_success else "red"
+        numbers = [_number(evaluation.metrics, column) for column in METRIC_COLUMNS]
+        numbers += [
+            _bound(getattr(evaluation, name)) + _number(evaluation.metrics, EXPERIMENT_COLUMNS[name]) for name in done
         ]
-        table.add_row(evaluation.grasp_id, outcome, _cell(evaluation.target_force, ".3g"), *numbers)
+        table.add_row(evaluation.grasp_id, f"[{color}]{evaluation.code.name}[/]", *numbers)
     return table
+
+
+def feature_table(evaluations: list[GraspEvaluation]) -> Table:
+    """Return a table with target force and features of each grasp."""
+    table = _table("force\nN", FEATURE_COLUMNS)
+    for evaluation in evaluations:
+        numbers = [_number(evaluation.features, column) for column in FEATURE_COLUMNS]
+        table.add_row(evaluation.grasp_id, _cell(evaluation.target_force, ".3g"), *numbers)
+    return table
+
+
+def _table(second: str, columns: tuple) -> Table:
+    """Return a table without rows, narrow enough for a terminal."""
+    table = Table(header_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column("grasp", no_wrap=True)
+    table.add_column(second, no_wrap=True)
+    for _, title, _, unit, _ in columns:
+        table.add_column(f"{title}\n{unit}", justify="right")
+    return table
+
+
+def reasons(evaluation: GraspEvaluation) -> list[str]:
+    """Return why numbers of an evaluation are missing, a line for each cause; empty if none is."""
+    if evaluation.metrics.pickup_success:
+        return list(_reasons_of_experiments(evaluation))
+    return [evaluation.message, *_reasons_of_experiments(evaluation)]
+
+
+def _reasons_of_experiments(evaluation: GraspEvaluation) -> Iterator[str]:
+    for name in EXPERIMENT_COLUMNS:
+        result = getattr(evaluation, name)
+        if result:
+            for reason, count in Counter(filter(None, result.reasons)).items():
+                noun = "axes" if name == Experiment.REORIENTATION else "directions"
+                yield f"{_spoken(name)}, {count} of {len(result.reasons)} {noun}: {reason}"
+    if evaluation.squeeze and evaluation.squeeze.reason:
+        yield f"{_spoken(Experiment.SQUEEZE)} {evaluation.squeeze.reason}"
+
+
+def _spoken(experiment: Experiment) -> str:
+    return experiment.value.replace("_", " ")
+
+
+def _bound(result: AccelerationResult | ReorientationResult | None) -> str:
+    """Return a mark for a mean in which at least one direction kept contact up to the end of its test."""
+    is_bound = isinstance(result, AccelerationResult) and result.is_lower_bound.any() and not any(result.reasons)
+    return ">=" if is_bound else ""
+
+
+def _number(values: object, column: tuple) -> str:
+    name, _, factor, _, style = column
+    return _cell(getattr(values, name) * factor, style)
 
 
 def _cell(value: float, style: str) -> str:

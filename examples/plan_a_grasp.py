@@ -33,7 +33,7 @@ from defgrasp_ros.mesh.mesh_files import read_mesh
 from defgrasp_ros.mesh.object_mesh import mesh_from_surface
 from defgrasp_ros.mesh.shapes import kidney_surface
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.report import evaluation_table, material_text
+from defgrasp_ros.report import evaluation_table, feature_table, material_text
 
 SOFT_TISSUE = Material(youngs_modulus=6e4, poissons_ratio=0.4, density=1050.0, friction_coefficient=0.6)
 """The demonstration's kidney: firmer than a real one, much softer than rubber."""
@@ -113,7 +113,7 @@ def plan(model: ObjectModel, grasps: Sequence[Grasp], picture: Path | None, cons
         )
     ranking = rank(answer.evaluations)
     failed = [evaluation for evaluation in answer.evaluations if not evaluation.metrics.pickup_success]
-    console.print(evaluation_table([*ranking, *failed]))
+    console.print(feature_table([*ranking, *failed]), evaluation_table([*ranking, *failed]), sep="\n")
     for evaluation in failed:
         console.print(f"{evaluation.grasp_id}: {evaluation.message}", markup=False, highlight=False)
     if picture:

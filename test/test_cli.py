@@ -10,7 +10,9 @@ import pytest
 
 from defgrasp_ros import cli
 from defgrasp_ros.errors import ResultCode
+from defgrasp_ros.evaluation import EvaluationOptions
 from defgrasp_ros.mesh.shapes import box
+from defgrasp_ros.option import options_of
 
 FROM_ABOVE = [1.0, 0.0, 0.0, 0.0]
 
@@ -47,7 +49,8 @@ def grasps(tmp_path_factory) -> Path:
 
 def test_json_is_all_that_is_printed(block, grasps):
     """Standard output holds one JSON document with the names of the messages, and null for what was not measured."""
-    run = defgrasp("evaluate", block, "--grasps", grasps, "--youngs-modulus", "1e5", "--hold-time", "0.2", "--json")
+    given = ["--youngs-modulus", "1e5", "--pickup-hold-time", "0.2"]
+    run = defgrasp("evaluate", block, "--grasps", grasps, *given, "--json")
     assert run.returncode == 0, run.stderr
     document = json.loads(run.stdout)
     assert document["material"]["youngs_modulus"] == 1e5
@@ -67,7 +70,7 @@ def test_json_is_all_that_is_printed(block, grasps):
 
 def test_table_names_units_and_reasons(block, grasps):
     """Without --json a table appears, and under it why each other grasp failed; rows keep their index."""
-    run = defgrasp("evaluate", block, "--grasps", grasps, "--grasp-indices", "1,0", "--hold-time", "0.1")
+    run = defgrasp("evaluate", block, "--grasps", grasps, "--grasp-indices", "1,0", "--pickup-hold-time", "0.1")
     assert run.returncode == 0, run.stderr
     assert "1 OK, 1 NO_CONTACT" in run.stdout
     assert "beside: the object is not between the pads" in run.stdout
@@ -82,7 +85,7 @@ def test_output_folder_holds_document_and_picture(block, grasps, tmp_path):
         grasps,
         "--grasp-indices",
         "1",
-        "--hold-time",
+        "--pickup-hold-time",
         "0.1",
         "--output",
         tmp_path / "out",
@@ -94,12 +97,58 @@ def test_output_folder_holds_document_and_picture(block, grasps, tmp_path):
     assert (tmp_path / "out" / "evaluations.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_help_lists_every_constant_with_unit_and_default(capsys, monkeypatch):
+    """Each constant of the protocol is an option of its name, with unit, range and default."""
+    monkeypatch.setenv("COLUMNS", "400")
+    monkeypatch.setattr(sys, "argv", ["defgrasp", "evaluate", "--help"])
+    with pytest.raises(SystemExit):
+        cli.main()
+    text = " ".join(capsys.readouterr().out.split())
+    for name, option in options_of(EvaluationOptions).items():
+        assert "--" + name.replace("_", "-") in text
+        assert option.text in text
+    assert "[m/s^3], in [1, 100000] [default: 1000]" in text
+
+
+def test_experiments_are_in_document_and_table(block, grasps, tmp_path, monkeypatch, capsys):
+    """Each experiment has its entry in the document and its metric in the table; lower bounds and reasons are told."""
+    preset = tmp_path / "short.yaml"
+    preset.write_text("pickup_hold_time: 0.1\nmax_linear_acceleration: 3.0\nmax_angular_acceleration: 50.0\n")
+    command = ["defgrasp", "evaluate", str(block), "--grasps", str(grasps), "--grasp-indices", "0,1"]
+    command += ["--preset", str(preset), "--max-angular-acceleration", "10", "--squeeze-sample-count", "2"]
+    command += ["--experiments", "linear_acceleration,angular_acceleration,squeeze", "--output", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", command)
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert not end.value.code
+    document = json.loads((tmp_path / "evaluations.json").read_text())
+    experiments = ["pickup", "linear_acceleration", "angular_acceleration", "squeeze"]
+    assert document["options"]["experiments"] == experiments
+    assert document["options"]["max_angular_acceleration"] == 10.0
+    missed, held = document["evaluations"]
+    assert [missed[name] for name in experiments[1:]] == [None] * 3
+    assert held["reorientation"] is None and held["metrics"]["deformation_controllability"] is None
+    for name, limit in (("linear_acceleration", 3.0), ("angular_acceleration", 10.0)):
+        assert held[name]["at_loss"] == [limit] * 16 and all(held[name]["is_lower_bound"])
+        assert held[name]["at_slip"] == [None] * 16
+    assert held["metrics"]["linear_instability"] == 3.0
+    assert held["squeeze"]["force"] == [7.5, 15.0]
+    for force, fingers in zip(held["squeeze"]["force"], held["squeeze"]["contacts"], strict=True):
+        assert sum(finger["normal_force"] for finger in fingers) == pytest.approx(force, rel=1e-3)
+    table = capsys.readouterr().out
+    assert ">=3 " in table and ">=10 " in table and "turned" not in table
+    assert "beside: the object is not between the pads" in table
+
+
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
         (["--youngs-modulus", "-3"], "INVALID_MATERIAL: material.youngs_modulus = -3 Pa"),
         (["--density", "nan"], "INVALID_MATERIAL: material.density = nan"),
-        (["--hold-time", "-1"], "INVALID_OPTIONS: options.pickup_hold_time = -1 s"),
+        (["--pickup-hold-time", "-1"], "INVALID_OPTIONS: options.pickup_hold_time = -1 s"),
+        (["--linear-jerk", "2e5"], "INVALID_OPTIONS: options.linear_jerk = 200000 m/s^3 is outside [1, 100000] m/s^3"),
+        (["--experiments", "shake"], "INVALID_OPTIONS: options.experiments: 'shake' is unknown; known are pickup,"),
+        (["--preset", "papper"], "NOT_FOUND: preset 'papper' is unknown; known are defgraspsim_code, paper"),
         (["--grasp-indices", "9"], "row 9 does not exist; the file has rows 0 to 2"),
         (["--grasp-indices", "a"], "is not a list of row numbers"),
         (["--gripper", "claw"], "NOT_FOUND: gripper 'claw' is unknown; known: franka_hand, robotiq_2f_85, round_pads"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -22,19 +23,24 @@ from defgrasp_ros.errors import (
     UnknownFrameError,
 )
 from defgrasp_ros.evaluation import (
+    AccelerationResult,
     DeformedState,
     EvaluationOptions,
+    Experiment,
     FingerContact,
     GraspEvaluation,
     GraspFeatures,
     GraspMetrics,
     GraspSample,
     Phase,
+    ReorientationResult,
     SolverReport,
+    SqueezeResult,
 )
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.shapes import box
+from defgrasp_ros.option import options_of
 
 msg = pytest.importorskip("defgrasp_interfaces.msg", reason="the message definitions are not built")
 pytest.importorskip("rclpy")
@@ -126,12 +132,35 @@ def test_grasp_without_a_unit_quaternion_is_refused(x: float, w: float) -> None:
 
 
 def test_options_survive_the_message_and_zero_takes_the_default() -> None:
-    """Numbers given are kept, numbers left 0 are the evaluator's."""
-    options = EvaluationOptions(1.5, 2.0, 0.1, 0.3, 0.004, return_fields=True)
+    """What is given is kept; numbers left 0, and experiments left empty, are the evaluator's."""
+    doubled = {name: 2 * option.default for name, option in options_of(EvaluationOptions).items()}
+    doubled |= {"reorientation_settles": False, "return_fields": True}
+    options = EvaluationOptions(**doubled, experiments={"squeeze", "linear_acceleration"})
     assert options_from_message(options_to_message(options), EvaluationOptions()) == options
     only_hold = msg.ExperimentOptions(pickup_hold_time=1.0)
-    expected = dataclasses.replace(options, pickup_hold_time=1.0, return_fields=False)
+    expected = dataclasses.replace(options, pickup_hold_time=1.0, reorientation_settles=True, return_fields=False)
     assert options_from_message(only_hold, options) == expected
+
+
+def test_experiments_of_a_message_are_names() -> None:
+    """The message has the names in the order in which the experiments are done; an unknown one is refused by name."""
+    message = options_to_message(EvaluationOptions(experiments=frozenset(Experiment)))
+    assert list(message.experiments) == [experiment.value for experiment in Experiment]
+    everything = options_from_message(msg.ExperimentOptions(experiments=["all"]), EvaluationOptions())
+    assert everything.experiments == frozenset(Experiment)
+    with pytest.raises(InvalidOptionsError, match="options.experiments: 'shake' is unknown; known are pickup, "):
+        options_from_message(msg.ExperimentOptions(experiments=["shake"]), EvaluationOptions())
+
+
+@pytest.mark.parametrize(
+    "name", [name for name, option in options_of(EvaluationOptions).items() if option.kind is not bool]
+)
+def test_option_out_of_its_range_is_refused(name: str) -> None:
+    """The text names the option, the value and the range."""
+    high = options_of(EvaluationOptions)[name].high
+    value = type(getattr(msg.ExperimentOptions(), name))(2 * high)
+    with pytest.raises(InvalidOptionsError, match=re.escape(f"options.{name} = {value:g}") + ".* is outside .*, .*]"):
+        options_from_message(msg.ExperimentOptions(**{name: value}), EvaluationOptions())
 
 
 @pytest.mark.parametrize("value", [-1.0, math.nan])
@@ -241,7 +270,7 @@ def test_evaluation_survives_the_message() -> None:
         code=ResultCode.DROPPED,
         message="slipped",
         features=GraspFeatures(0.1, 0.2, 7.5, 0.3, 0.4, 0.5, 0.6),
-        metrics=GraspMetrics(True, 1e4, 0.002, 0.03),
+        metrics=GraspMetrics(True, 1e4, 0.002, 0.03, 12.0, 345.0, 0.004),
         target_force=2.0,
         applied_force=1.99,
         contacts=(contact("left_finger", 2), contact("right_finger", 0)),
@@ -272,10 +301,43 @@ def test_evaluation_survives_the_message() -> None:
     assert not evaluation_to_message(evaluation, STAMP, with_fields=False).fields
 
 
+def test_experiments_survive_the_message() -> None:
+    """Every number, mark and reason of the experiments comes back, fields over the mesh where they are wanted."""
+    directions, state = np.arange(48.0).reshape(16, 3), DeformedState(BLOCK.vertices, np.arange(3.0), 0.015)
+    some = np.where(np.arange(16) % 3, np.arange(16.0), np.nan)
+    reasons = ["" if number == number else "no solution" for number in some]
+    turned = [np.arange(64.0).reshape(16, 4) + start for start in (0.0, 100.0, 200.0, 300.0)]
+    squeezed = [np.array([1.0, 2.0, np.nan]) + start for start in (0.0, 10.0, 20.0, 30.0, 40.0)]
+    evaluation = GraspEvaluation(
+        0,
+        "top",
+        reorientation=ReorientationResult(directions, 2.5, *turned, reasons, {(3, 1): state, (15, 3): state}),
+        linear_acceleration=AccelerationResult(directions, some, some + 1.0, some > 10.0, reasons),
+        angular_acceleration=AccelerationResult(directions, some + 2.0, some, some > 5.0, reasons),
+        squeeze=SqueezeResult(
+            *squeezed, [(contact("left_finger", 2), contact("right_finger", 1))] * 2, [state] * 2, "at 3 N: no solution"
+        ),
+    )
+    back = evaluation_from_message(evaluation_to_message(evaluation, STAMP))
+    for name in ("reorientation", "linear_acceleration", "angular_acceleration", "squeeze"):
+        result, there = getattr(back, name), getattr(evaluation, name)
+        for field in dataclasses.fields(there):
+            if field.name not in ("states", "contacts"):
+                np.testing.assert_array_equal(getattr(result, field.name), getattr(there, field.name))
+    assert back.reorientation is not None and set(back.reorientation.states) == {(3, 1), (15, 3)}
+    assert back.squeeze is not None and len(back.squeeze.states) == 2
+    assert [[finger.count for finger in fingers] for fingers in back.squeeze.contacts] == [[2, 1], [2, 1]]
+    for deformed in (*back.reorientation.states.values(), *back.squeeze.states):
+        np.testing.assert_array_equal(deformed.positions, BLOCK.vertices.astype(np.float32))
+    bare = evaluation_to_message(evaluation, STAMP, with_fields=False)
+    assert not bare.reorientation[0].states and not bare.squeeze[0].states
+
+
 def test_evaluation_that_measured_nothing_survives_the_message() -> None:
     """Not measured stays nan, and no contact stays none."""
     back = evaluation_from_message(evaluation_to_message(GraspEvaluation(0, ""), STAMP))
     assert back.contacts is None
+    assert back.reorientation is back.linear_acceleration is back.angular_acceleration is back.squeeze is None
     assert math.isnan(back.metrics.strain_energy)
     assert math.isnan(back.target_force)
 
@@ -305,7 +367,13 @@ def test_parameter_file_is_that_of_the_table() -> None:
 
 
 def test_every_option_has_its_parameter() -> None:
-    """Every number of the options can be left 0 in a request, so each has a parameter."""
+    """What can be left out in a request, all but booleans, has a parameter."""
     numbers = [field.name for field in dataclasses.fields(EvaluationOptions) if not isinstance(field.default, bool)]
     parameters = [row.name.removeprefix(EXPERIMENT) for row in PARAMETERS if row.name.startswith(EXPERIMENT)]
     assert parameters == numbers
+
+
+def test_booleans_of_a_message_left_alone_are_the_defaults() -> None:
+    """A boolean cannot be left out, so the message's own default is that of the options."""
+    assert msg.ExperimentOptions().reorientation_settles is EvaluationOptions().reorientation_settles
+    assert msg.ExperimentOptions().return_fields is EvaluationOptions().return_fields

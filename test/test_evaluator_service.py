@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import signal
 import subprocess
 import sys
@@ -16,7 +17,7 @@ import pytest
 from ros_processes import STOP_TIMEOUT, isolated_ros, running_evaluator
 
 from defgrasp_ros.errors import InvalidMaterialError, MeshNotWatertightError, NotFoundError, ResultCode
-from defgrasp_ros.evaluation import EvaluationOptions, Phase, Progress
+from defgrasp_ros.evaluation import EvaluationOptions, Experiment, Phase, Progress
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.shapes import box
@@ -169,6 +170,43 @@ def with_open_surface(request: msg.EvaluationRequest) -> None:
     request.object = object_to_message(Surface(BLOCK.vertices, BLOCK.surface_triangles[1:]), MATERIAL)
 
 
+def test_experiments_are_simulated_reported_and_logged(client: GraspEvaluatorClient) -> None:
+    """The whole protocol in one call: every result is in the answer and in the log, and every phase is reported."""
+    options = dataclasses.replace(
+        SHORT,
+        experiments=frozenset(Experiment),
+        reorientation_speed=30.0,
+        max_linear_acceleration=5.0,
+        max_angular_acceleration=10.0,
+        squeeze_sample_count=2,
+        return_fields=True,
+    )
+    grasps = [central_grasp(), Grasp(np.array([0.0, 0.2, 0.0]), FROM_ABOVE, id="beside")]
+    reports: list[Progress] = []
+    answer = client.evaluate_grasps(
+        BLOCK, MATERIAL, grasps, options=options, on_progress=reports.append, timeout=ANSWER_TIMEOUT
+    )
+    held, missed = answer.evaluations
+    assert [held.code, missed.code] == [ResultCode.OK, ResultCode.NO_CONTACT]
+    assert missed.reorientation is missed.linear_acceleration is missed.angular_acceleration is missed.squeeze is None
+    assert held.reorientation is not None and held.squeeze is not None
+    assert held.linear_acceleration is not None and held.angular_acceleration is not None
+    assert held.reorientation.max_deformation.shape == (16, 4)
+    assert held.metrics.deformation_controllability == held.reorientation.max_deformation.max() > 0.0
+    assert len(held.reorientation.states) == 64 and len(held.squeeze.states) == 2
+    assert held.linear_acceleration.is_lower_bound.all() and held.metrics.linear_instability == 5.0
+    assert held.angular_acceleration.is_lower_bound.all() and held.metrics.angular_instability == 10.0
+    np.testing.assert_allclose(held.squeeze.force, [7.5, 15.0])
+    for force, fingers in zip(held.squeeze.force, held.squeeze.contacts, strict=True):
+        closing = [abs(finger.forces.sum(axis=0)[1]) for finger in fingers]
+        assert closing == pytest.approx([0.5 * force] * 2, rel=1e-3)  # it is reached to 1e-4
+    assert {Phase.REORIENT, Phase.ACCELERATE, Phase.SQUEEZE_FREE} <= {report.phase for report in reports}
+    assert answer.log_path is not None
+    (logged,) = [each for each in read_log(answer.log_path).on("evaluations") if each.grasp_id == "centre"]
+    assert len(logged.reorientation[0].states) == 64
+    assert list(logged.squeeze[0].force) == [7.5, 15.0]
+
+
 def without_shape(request: msg.EvaluationRequest) -> None:
     request.object = msg.ObjectModel()
 
@@ -192,6 +230,10 @@ def with_gripper(request: msg.EvaluationRequest) -> None:
     request.gripper = "lobster"
 
 
+def with_experiment(request: msg.EvaluationRequest) -> None:
+    request.options.experiments = ["shake"]
+
+
 BAD_REQUESTS = [
     ("unreadable mesh", with_data(b"no triangles here", "stl"), "INVALID_MESH", "object.data: "),
     ("unknown format", with_data(b"no triangles here", "exe"), "INVALID_MESH", "object.data: mesh format 'exe'"),
@@ -211,6 +253,7 @@ BAD_REQUESTS = [
     ("no grasps", with_grasps(0), "EMPTY_GRASP_LIST", "no grasps"),
     ("10 000 grasps", with_grasps(10_000), "TOO_MANY_GRASPS", "10000 grasps"),
     ("negative hold time", with_hold_time, "INVALID_OPTIONS", "pickup_hold_time = -1"),
+    ("unknown experiment", with_experiment, "INVALID_OPTIONS", "'shake' is unknown; known are pickup"),
     ("unknown gripper", with_gripper, "NOT_FOUND", "'lobster'"),
 ]
 

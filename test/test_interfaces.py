@@ -9,6 +9,7 @@ import pytest
 
 from defgrasp_ros.errors import ResultCode
 from defgrasp_ros.evaluation import (
+    AccelerationResult,
     DeformedState,
     EvaluationOptions,
     FingerContact,
@@ -16,14 +17,16 @@ from defgrasp_ros.evaluation import (
     GraspFeatures,
     GraspMetrics,
     Phase,
+    ReorientationResult,
     SolverReport,
+    SqueezeResult,
 )
 from defgrasp_ros.material import Material
 
 DEFINITIONS = Path(__file__).resolve().parents[1] / "msg_defs"
 MESSAGES = sorted(DEFINITIONS.glob("msg/*.msg"))
 CONSTANT = re.compile(r"^\w+ ([A-Z][A-Z0-9_]*)\s*=\s*(\d+)")
-FIELD = re.compile(r"^[\w/]+(?:\[\d*\])? ([a-z][a-z0-9_]*)(?: ([^\s#]+))?\s*(?:#.*)?$")
+FIELD = re.compile(r"^[\w/]+(?:\[(?:<=)?\d*\])? ([a-z][a-z0-9_]*)(?: ([^\s#]+))?\s*(?:#.*)?$")
 
 
 def constants(message: str) -> dict[str, int]:
@@ -62,11 +65,14 @@ def test_status_phases_are_the_phases():
 @pytest.mark.parametrize(
     ("message", "data_class"),
     [
+        ("AccelerationResult", AccelerationResult),
         ("GraspFeatures", GraspFeatures),
         ("GraspMetrics", GraspMetrics),
         ("Material", Material),
         ("ObjectField", DeformedState),
+        ("ReorientationResult", ReorientationResult),
         ("SolverReport", SolverReport),
+        ("SqueezeResult", SqueezeResult),
     ],
 )
 def test_message_has_the_fields_of_the_data_class(message, data_class):

@@ -19,7 +19,19 @@ pytest.importorskip("defgrasp_interfaces.msg", reason="the message definitions a
 pytest.importorskip("sensor_msgs.msg")
 
 from builtin_interfaces.msg import Time  # noqa: E402
-from defgrasp_interfaces.msg import ContactState, EvaluationRequest, EvaluatorStatus, FingerContact, Grasp  # noqa: E402
+from defgrasp_interfaces.msg import (  # noqa: E402
+    AccelerationResult,
+    ContactState,
+    EvaluationRequest,
+    EvaluatorStatus,
+    FingerContact,
+    Grasp,
+    GraspEvaluation,
+    ObjectField,
+    ReorientationResult,
+    ReorientationState,
+    SqueezeResult,
+)
 from sensor_msgs.msg import JointState  # noqa: E402
 from shape_msgs.msg import MeshTriangle  # noqa: E402
 
@@ -31,6 +43,7 @@ TOPICS = (
     Topic("/evaluator/status", EvaluatorStatus, depth=1, latched=True),
     Topic("/evaluator/joint_states", JointState, depth=10),
     Topic("/evaluator/contacts", ContactState, depth=10),
+    Topic("/evaluator/evaluations", GraspEvaluation, depth=50, latched=True),
 )
 
 
@@ -51,7 +64,18 @@ def example_messages() -> list[tuple[str, object]]:
             ("/evaluator/contacts", ContactState(grasp_id="a" * index, fingers=[finger] * (index % 3))),
             ("/evaluator/status", EvaluatorStatus(state=2, run_id="run", progress=index / 5)),
         ]
-    return messages
+    return [*messages, ("/evaluator/evaluations", example_evaluation())]
+
+
+def example_evaluation() -> GraspEvaluation:
+    """A result with some of the experiments, which are sequences of at most one message."""
+    field = ObjectField(stage="reorientation", positions=array.array("f", range(6)))
+    turned = ReorientationResult(reasons=["", "slipped"], states=[ReorientationState(axis=3, turn=1, field=field)] * 2)
+    accelerated = AccelerationResult(is_lower_bound=[True, False, True], at_loss=array.array("d", [1.5, 2.5, 3.5]))
+    squeezed = SqueezeResult(contacts=[FingerContact(name="left_finger")] * 2, reason="at 3 N: no solution")
+    return GraspEvaluation(
+        grasp_id="päd", reorientation=[turned], linear_acceleration=[accelerated], squeeze=[squeezed]
+    )
 
 
 def write_example(directory: Path) -> tuple[Path, list[tuple[str, object]]]:
@@ -135,7 +159,7 @@ def test_bag_metadata_counts_the_messages(tmp_path: Path) -> None:
     assert bag["message_count"] == len(messages)
     counts = {topic["topic_metadata"]["name"]: topic["message_count"] for topic in bag["topics_with_message_count"]}
     five = {f"/evaluator/{name}": 5 for name in ("status", "joint_states", "contacts")}
-    assert counts == {"/evaluator/request": 1} | five
+    assert counts == {"/evaluator/request": 1, "/evaluator/evaluations": 1} | five
 
 
 def test_file_cut_at_any_byte_is_readable_up_to_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,9 +16,10 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from defgrasp_ros.errors import DefgraspError
-from defgrasp_ros.evaluation import EvaluationObserver, EvaluationOptions
+from defgrasp_ros.evaluation import ALL_EXPERIMENTS, EvaluationObserver, EvaluationOptions, Experiment, in_order
 from defgrasp_ros.gripper import DEFAULT_GRIPPER, load_gripper
 from defgrasp_ros.mesh.tetrahedralize import MAX_TETRAHEDRA
+from defgrasp_ros.option import options_of
 
 EXPERIMENT = "experiment."
 """Prefix of the parameters that stand in for options left 0 in a request."""
@@ -29,7 +30,7 @@ class Parameter:
     """One row of the table; a change takes effect with the next request."""
 
     name: str
-    default: bool | int | float | str
+    default: bool | int | float | str | list[str]
     description: str
     unit: str = ""
     range: tuple[float, float] | None = None
@@ -55,16 +56,14 @@ class Parameter:
 
 
 def _experiment_parameters() -> list[Parameter]:
-    """The options' own defaults; their ranges are checked where the options are."""
-    texts = {
-        "force_safety_factor": ("Default target force of a grasp is this x m g / friction coefficient", ""),
-        "pickup_hold_time": ("How long both fingers must keep contact after the platform has gone", "s"),
-        "platform_speed": ("Speed with which the platform sinks", "m/s"),
-        "squeeze_time": ("Duration of the force ramp from 0 to the target force", "s"),
-        "time_step": ("Time step of the simulation", "s"),
-    }
-    defaults = EvaluationOptions()
-    return [Parameter(EXPERIMENT + name, getattr(defaults, name), *text) for name, text in texts.items()]
+    """The options that a request can leave out; their ranges are checked where the options are."""
+    names = ", ".join((*Experiment, ALL_EXPERIMENTS))
+    experiments = [str(experiment) for experiment in in_order(EvaluationOptions().experiments)]
+    numbers = {name: option for name, option in options_of(EvaluationOptions).items() if option.kind is not bool}
+    return [
+        Parameter(EXPERIMENT + "experiments", experiments, f"What is done with each grasp: {names}"),
+        *(Parameter(EXPERIMENT + name, option.default, option.text) for name, option in numbers.items()),
+    ]
 
 
 PARAMETERS = (
@@ -102,7 +101,7 @@ def declare_parameters(node: Node) -> None:
         node.declare_parameter(parameter.name, parameter.default, parameter.descriptor)
 
 
-def parameter_values(node: Node) -> dict[str, bool | int | float | str]:
+def parameter_values(node: Node) -> dict[str, bool | int | float | str | list[str]]:
     """Return the present value of every parameter of the table."""
     return {parameter.name: node.get_parameter(parameter.name).value for parameter in PARAMETERS}
 
@@ -139,7 +138,7 @@ def parameters_yaml() -> str:
             group = path[0]
             lines.append(f"    {group}:")
         indent = "      " if path else "    "
-        value = yaml.safe_dump(parameter.default).splitlines()[0]
+        value = yaml.safe_dump(parameter.default, default_flow_style=True).splitlines()[0]
         lines += [f"{indent}# {parameter.text}", f"{indent}{name}: {value}"]
     return "\n".join(lines) + "\n"
 

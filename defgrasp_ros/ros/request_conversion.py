@@ -13,7 +13,7 @@ from shape_msgs.msg import MeshTriangle
 
 from defgrasp_ros.checks import require_in_range
 from defgrasp_ros.errors import InvalidMeshError, MeshTooLargeError, UnknownFrameError
-from defgrasp_ros.evaluation import EvaluationOptions
+from defgrasp_ros.evaluation import EvaluationOptions, in_order
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.mesh_files import prepare_bytes, prepare_file
@@ -86,18 +86,20 @@ def grasp_from_message(message: msg.Grasp) -> Grasp:
 
 def options_to_message(options: EvaluationOptions) -> msg.ExperimentOptions:
     """Return the message of options; a number 0 means the evaluator's own value there."""
-    return fill(msg.ExperimentOptions(), options)
+    message = fill(msg.ExperimentOptions(), options)
+    message.experiments = in_order(options.experiments)
+    return message
 
 
 def options_from_message(message: msg.ExperimentOptions, defaults: EvaluationOptions) -> EvaluationOptions:
-    """Return the options of a message, with ``defaults`` where a number is 0.
+    """Return the options of a message, with ``defaults`` where a number is 0, and where no experiment is named.
 
     Raises:
         InvalidOptionsError: If a value is outside its range.
     """
     given = {field.name: getattr(message, field.name) for field in dataclasses.fields(EvaluationOptions)}
-    numbers_left_out = [name for name, value in given.items() if not isinstance(value, bool) and value == 0.0]
-    return dataclasses.replace(defaults, **{name: given[name] for name in given if name not in numbers_left_out})
+    named = {name: value for name, value in given.items() if isinstance(value, bool) or value}
+    return dataclasses.replace(defaults, **named)
 
 
 # Object

@@ -2,21 +2,39 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TypeVar
+
 from builtin_interfaces.msg import Time
 from defgrasp_interfaces import msg
 
 from defgrasp_ros.errors import ResultCode
 from defgrasp_ros.evaluation import (
-    DeformedState,
-    FingerContact,
     GraspEvaluation,
     GraspFeatures,
     GraspMetrics,
     SolverReport,
 )
-from defgrasp_ros.ros.fields import extract, fill, flat, point_message, rows, vector_message
+from defgrasp_ros.ros.experiment_conversion import (
+    acceleration_from_message,
+    acceleration_to_message,
+    reorientation_from_message,
+    reorientation_to_message,
+    squeeze_from_message,
+    squeeze_to_message,
+)
+from defgrasp_ros.ros.fields import extract, fill
 from defgrasp_ros.ros.request_conversion import OBJECT_FRAME
+from defgrasp_ros.ros.state_conversion import (
+    contact_from_message,
+    contact_to_message,
+    field_from_message,
+    field_to_message,
+)
+
+Source = TypeVar("Source")
+Target = TypeVar("Target")
 
 NUMBERS = ("target_force", "applied_force", "slip_distance", "holding_time", "simulated_time", "wall_time")
 """Fields of an evaluation that are plain numbers."""
@@ -38,7 +56,11 @@ def evaluation_to_message(evaluation: GraspEvaluation, stamp: Time, *, with_fiel
         metrics=fill(msg.GraspMetrics(), evaluation.metrics),
         contacts=[contact_to_message(contact) for contact in evaluation.contacts or ()],
         solver=fill(msg.SolverReport(), evaluation.solver),
-        fields=[_field_to_message(*item) for item in evaluation.fields.items()] if with_fields else [],
+        fields=[field_to_message(*item) for item in evaluation.fields.items()] if with_fields else [],
+        reorientation=_list(evaluation.reorientation, partial(reorientation_to_message, with_fields=with_fields)),
+        linear_acceleration=_list(evaluation.linear_acceleration, acceleration_to_message),
+        angular_acceleration=_list(evaluation.angular_acceleration, acceleration_to_message),
+        squeeze=_list(evaluation.squeeze, partial(squeeze_to_message, with_fields=with_fields)),
         **{name: float(getattr(evaluation, name)) for name in NUMBERS},
     )
     message.header.stamp = stamp
@@ -58,49 +80,20 @@ def evaluation_from_message(message: msg.GraspEvaluation) -> GraspEvaluation:
         metrics=extract(GraspMetrics, message.metrics),
         contacts=contacts or None,
         solver=extract(SolverReport, message.solver),
-        fields={field.stage: _field_from_message(field) for field in message.fields},
+        fields={field.stage: field_from_message(field) for field in message.fields},
+        reorientation=_single(message.reorientation, reorientation_from_message),
+        linear_acceleration=_single(message.linear_acceleration, acceleration_from_message),
+        angular_acceleration=_single(message.angular_acceleration, acceleration_from_message),
+        squeeze=_single(message.squeeze, squeeze_from_message),
         **{name: getattr(message, name) for name in NUMBERS},
     )
 
 
-def contact_to_message(contact: FingerContact) -> msg.FingerContact:
-    """Return the message of what one finger feels."""
-    return msg.FingerContact(
-        name=contact.name,
-        count=contact.count,
-        positions=flat(contact.positions),
-        normals=flat(contact.normals),
-        forces=flat(contact.forces),
-        slipping=bool(contact.slipping),
-        normal_force=contact.normal_force,
-        tangential_force=vector_message(contact.tangential_force),
-        centroid=point_message(contact.centroid),
-    )
+def _list(result: Source | None, convert: Callable[[Source], Target]) -> list[Target]:
+    """Return a result that may be missing as a message field takes it."""
+    return [] if result is None else [convert(result)]
 
 
-def contact_from_message(message: msg.FingerContact) -> FingerContact:
-    """Return what one finger feels; sums are made anew from the contact points."""
-    return FingerContact(
-        name=message.name,
-        positions=rows(message.positions, 3),
-        normals=rows(message.normals, 3),
-        forces=rows(message.forces, 3),
-        slipping=message.slipping,
-    )
-
-
-def _field_to_message(stage: str, state: DeformedState) -> msg.ObjectField:
-    return msg.ObjectField(
-        stage=stage,
-        positions=flat(state.positions, "f"),
-        von_mises_stress=flat(state.von_mises_stress, "f"),
-        opening=float(state.opening),
-    )
-
-
-def _field_from_message(message: msg.ObjectField) -> DeformedState:
-    return DeformedState(
-        positions=rows(message.positions, 3),
-        von_mises_stress=np.asarray(message.von_mises_stress),
-        opening=message.opening,
-    )
+def _single(messages: Sequence[Source], convert: Callable[[Source], Target]) -> Target | None:
+    """Return the result of a message field of at most one."""
+    return convert(messages[0]) if messages else None

@@ -1,17 +1,63 @@
-"""The state of running grasps as joint states and contacts."""
+"""States as messages: what the fingers feel, fields over the mesh, and the joints of a running grasp."""
 
 from __future__ import annotations
 
+import numpy as np
 from builtin_interfaces.msg import Time
-from defgrasp_interfaces.msg import ContactState
+from defgrasp_interfaces import msg
 from sensor_msgs.msg import JointState
 
-from defgrasp_ros.evaluation import FINGER_NAMES, GraspSample
+from defgrasp_ros.evaluation import FINGER_NAMES, DeformedState, FingerContact, GraspSample
+from defgrasp_ros.ros.fields import flat, point_message, rows, vector_message
 from defgrasp_ros.ros.request_conversion import OBJECT_FRAME
-from defgrasp_ros.ros.result_conversion import contact_to_message
 
 JOINT_NAMES = [f"{finger}_joint" for finger in FINGER_NAMES]
 """The two prismatic joints of the gripper, left then right."""
+
+
+def contact_to_message(contact: FingerContact) -> msg.FingerContact:
+    """Return the message of what one finger feels."""
+    return msg.FingerContact(
+        name=contact.name,
+        count=contact.count,
+        positions=flat(contact.positions),
+        normals=flat(contact.normals),
+        forces=flat(contact.forces),
+        slipping=bool(contact.slipping),
+        normal_force=contact.normal_force,
+        tangential_force=vector_message(contact.tangential_force),
+        centroid=point_message(contact.centroid),
+    )
+
+
+def contact_from_message(message: msg.FingerContact) -> FingerContact:
+    """Return what one finger feels; sums are made anew from the contact points."""
+    return FingerContact(
+        name=message.name,
+        positions=rows(message.positions, 3),
+        normals=rows(message.normals, 3),
+        forces=rows(message.forces, 3),
+        slipping=message.slipping,
+    )
+
+
+def field_to_message(stage: str, state: DeformedState) -> msg.ObjectField:
+    """Return the message of shape and stress, in single precision."""
+    return msg.ObjectField(
+        stage=stage,
+        positions=flat(state.positions, "f"),
+        von_mises_stress=flat(state.von_mises_stress, "f"),
+        opening=float(state.opening),
+    )
+
+
+def field_from_message(message: msg.ObjectField) -> DeformedState:
+    """Return shape and stress of a message."""
+    return DeformedState(
+        positions=rows(message.positions, 3),
+        von_mises_stress=np.asarray(message.von_mises_stress),
+        opening=message.opening,
+    )
 
 
 def sample_to_joint_state(sample: GraspSample, stamp: Time) -> JointState:
@@ -32,9 +78,9 @@ def sample_to_joint_state(sample: GraspSample, stamp: Time) -> JointState:
     return message
 
 
-def sample_to_contact_state(sample: GraspSample, stamp: Time) -> ContactState:
+def sample_to_contact_state(sample: GraspSample, stamp: Time) -> msg.ContactState:
     """Return what the fingers of one grasp and the platform feel."""
-    message = ContactState(
+    message = msg.ContactState(
         grasp_id=sample.grasp_id,
         grasp_index=sample.grasp_index,
         fingers=[contact_to_message(contact) for contact in sample.contacts],
