@@ -141,7 +141,7 @@ class ContactSet:
         while True:
             needed = self._propose(scene, rows, self._proposed, self._proposed_gap)
             if needed <= self.capacity:
-                inputs = [scene, rows, self.lists, self._proposed, self._proposed_gap]
+                inputs = [scene, rows, self._proposed, self._proposed_gap]
                 self._launch(detection.drop_dependent, (rows.shape[0], faces.BODY_COUNT), inputs, [self._owned])
                 inputs = [self._proposed, self._proposed_gap, rows]
                 self._launch(detection.join_bodies, rows.shape[0], inputs, [self._found, self._gap])
@@ -175,7 +175,7 @@ class ContactSet:
         scene.surface, scene.faces, scene.bodies = model.surface, model.faces, self._state.bodies
         scene.rest, scene.displacement = model.vertices, displacement
         scene.margin, scene.tie = margin, TIE * model.size
-        scene.normal, scene.places = self._normal, self._places
+        scene.normal, scene.places, scene.listed = self._normal, self._places, self.lists
         return scene
 
     def _screen(self, scene: detection.Scene, rows: wp.array) -> None:

@@ -109,6 +109,8 @@ class Scene:
     rest: wp.array[vec3d]  # (node,) [m]
     displacement: wp.array2d[vec3d]  # (world, node) [m]
     normal: wp.array2d[vec3d]  # (world, node): outward
+    listed: ContactList
+    """Points that are known from before, sorted by key."""
     margin: wp.float64  # gap below which a point is a candidate [m]; see DEPTH_IN_EDGE if negative
     tie: wp.float64  # difference of gaps that does not count [m]
     places: wp.array2d[int]  # (world, node): bits that tell where a node lies relative to each body
@@ -276,6 +278,37 @@ def touch(scene: Scene, world: int, body: int, x: vec3d, place: vec3d, contacts:
 
 
 @wp.func
+def listed_force(contacts: ContactList, world: int, key: int) -> wp.float64:
+    """Normal force of the entry with this key in a sorted list [N], -1 where there is none."""
+    low = int(0)
+    high = int(contacts.count[world])
+    while low < high:
+        middle = (low + high) // 2
+        if contacts.key[world, middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    if low < contacts.count[world] and contacts.key[world, low] == key:
+        return contacts.force[world, low][0]
+    return wp.float64(-1.0)
+
+
+@wp.func
+def preference(scene: Scene, world: int, key: int, gap: wp.float64) -> wp.float64:
+    """Of points that exclude each other the one with the smallest preference stays [m].
+
+    Points that carry force come first, so that the choice does not alternate from step to step; then those that are
+    listed already, unless others are deeper by more than a tie.
+    """
+    force = listed_force(scene.listed, world, key)
+    if force > wp.float64(0.0):
+        return -LOADED_FIRST - force
+    if force == wp.float64(0.0):
+        return gap - scene.tie
+    return gap
+
+
+@wp.func
 def propose(
     scene: Scene,
     world: int,
@@ -308,9 +341,10 @@ def propose(
     capacity = contacts.key.shape[1]
     if candidate.nodes[0] != candidate.nodes[1]:  # nodes come first, and are never the same
         replaced = int(0)
+        mine = preference(scene, world, body * scene.surface.body_key + candidate.key, gap)
         for c in range(wp.min(count, capacity)):
             if contacts.key[row, c] >= 0 and same_point(candidate, contacts.nodes[row, c], contacts.weights[row, c]):
-                if gap >= gaps[row, c] - scene.tie:
+                if mine >= preference(scene, world, contacts.key[row, c], gaps[row, c]) - scene.tie:
                     return count
                 replaced += 1
         if replaced > 0:
@@ -588,37 +622,19 @@ def is_taken(contacts: ContactList, owned: wp.array2d[int], row: int, count: int
     return False
 
 
-@wp.func
-def listed_force(contacts: ContactList, world: int, key: int) -> wp.float64:
-    """Normal force of the entry with this key in a sorted list [N], -1 where there is none."""
-    low = int(0)
-    high = int(contacts.count[world])
-    while low < high:
-        middle = (low + high) // 2
-        if contacts.key[world, middle] < key:
-            low = middle + 1
-        else:
-            high = middle
-    if low < contacts.count[world] and contacts.key[world, low] == key:
-        return contacts.force[world, low][0]
-    return wp.float64(-1.0)
-
-
 @wp.kernel
 def drop_dependent(
     scene: Scene,
     worlds: wp.array[int],  # (row,)
-    listed: ContactList,
     # In and out:
     proposed: ContactList,  # row: body + BODY_COUNT * row of worlds
     gaps: wp.array2d[wp.float64],  # along the normal of the face [m]
     # Out:
     owned: wp.array2d[int],  # the node that each point on an edge or in a triangle brings in
 ):
-    """Give each point on the flat part a node of its own, those with the smallest gap first; drop what gets none.
+    """Give each point on the flat part a node of its own, the preferred points first; drop what gets none.
 
-    Points that carry force go first, and stay in any case, so that the choice does not alternate from step to step;
-    then those that are listed already, unless others are deeper by more than a tie.
+    Points that carry force stay in any case.
     """
     i, body = wp.tid()
     w = worlds[i]
@@ -634,15 +650,10 @@ def drop_dependent(
         smallest = wp.float64(0.0)
         for c in range(count):
             if owned[row, c] == wp.static(UNDECIDED):
-                gap = gaps[row, c]
-                force = listed_force(listed, w, proposed.key[row, c])
-                if force > wp.float64(0.0):
-                    gap = -LOADED_FIRST - force
-                elif force == wp.float64(0.0):
-                    gap -= scene.tie
-                if best < 0 or gap < smallest:
+                rank = preference(scene, w, proposed.key[row, c], gaps[row, c])
+                if best < 0 or rank < smallest:
                     best = c
-                    smallest = gap
+                    smallest = rank
         if best < 0:
             break
         own = int(-1)

@@ -42,7 +42,7 @@ CONTACT_REDUCTION = 1e-3
 """Early iterations need no better contact forces than this fraction of their residual [-]."""
 MAX_ITERATIONS = 40
 """Iterations after which a step is given up."""
-MAX_STALLED = 4
+MAX_STALLED = 8
 """Iterations in a row that do not reduce the residual after which a step is given up."""
 RESTART_GROWTH = 2.0
 """Growth of the residual in an iteration at which the acceleration starts anew [-]."""
