@@ -67,7 +67,7 @@ def share_files(directory: str) -> list[tuple[str, list[str]]]:
 setup(
     name=PACKAGE_NAME,
     version="0.1.0",
-    description="Evaluates grasps on deformable objects by simulating squeeze and pickup.",
+    description="Evaluates grasps on deformable objects by simulating experiments with them.",
     maintainer="defgrasp_ros maintainers",
     maintainer_email="maintainers@defgrasp-ros.example",
     license="Apache-2.0",
