@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from defgrasp_ros.errors import InvalidOptionsError, ResultCode
-from defgrasp_ros.evaluation import EvaluationOptions, Experiment, GraspEvaluation
+from defgrasp_ros.evaluation import EvaluationObserver, EvaluationOptions, Experiment, GraspEvaluation, Phase
 from defgrasp_ros.experiments import acceleration, evaluate_grasps
 from defgrasp_ros.experiments.directions import sphere_directions
 from defgrasp_ros.experiments.slip_force import rotational_slip_force
@@ -180,6 +180,41 @@ def test_a_dropped_object_has_no_figures():
     assert evaluation.linear_acceleration is None and evaluation.reorientation is None
     assert np.isnan(evaluation.metrics.linear_instability)
     assert np.isnan(evaluation.metrics.deformation_controllability)
+
+
+class Witness(EvaluationObserver):
+    """Keeps the results, and stops the run in a phase."""
+
+    def __init__(self, stop_in: Phase | None = None):
+        self.stop_in, self.stopped, self.evaluations = stop_in, False, []
+
+    def on_progress(self, progress):
+        self.stopped |= progress.phase == self.stop_in
+
+    def on_evaluation(self, evaluation):
+        self.evaluations.append((evaluation.code, evaluation.squeeze is not None))
+
+    def should_stop(self):
+        return self.stopped
+
+
+def test_results_are_told_when_all_is_known():
+    """A dropped object that is squeezed afterwards is reported once, with the squeeze."""
+    witness, grasp = Witness(), Grasp(np.zeros(3), FROM_ABOVE, "weak", 0.5 * block().weight)
+    squeeze = {"experiments": {"squeeze"}, "squeeze_force": 0.2, "squeeze_sample_count": 2}
+    options = EvaluationOptions(pickup_hold_time=0.1, **squeeze)
+    evaluate_grasps(block(), [grasp], WIDE_PADS, options, observer=witness)
+    assert witness.evaluations == [(ResultCode.DROPPED, True)]
+
+
+def test_stopping_after_the_pickup():
+    """What was measured stays, the code says that the rest is missing."""
+    witness, grasp = Witness(Phase.ACCELERATE), Grasp(np.zeros(3), FROM_ABOVE, "block", 0.6)
+    options = EvaluationOptions(pickup_hold_time=0.1, experiments={"linear_acceleration"})
+    (evaluation,) = evaluate_grasps(block(), [grasp], WIDE_PADS, options, observer=witness)
+    assert evaluation.code == ResultCode.CANCELED and evaluation.metrics.pickup_success
+    assert np.isnan(evaluation.metrics.linear_instability)
+    assert set(evaluation.linear_acceleration.reasons) == {"canceled"}
 
 
 def test_unknown_experiment():

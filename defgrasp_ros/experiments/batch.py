@@ -106,7 +106,9 @@ class GraspBatch:
     def finish(self, candidate: Candidate, code: ResultCode, message: str) -> None:
         """End a candidate's pickup; it is reported at once where nothing follows."""
         candidate.end(code, message)
-        if code != ResultCode.OK or self.options.experiments == {Experiment.PICKUP}:
+        others = self.options.experiments - {Experiment.PICKUP}
+        squeezed = Experiment.SQUEEZE in others and candidate.at_contact is not None
+        if not others or (code != ResultCode.OK and not squeezed):
             self.report(candidate)
 
     def report(self, candidate: Candidate) -> None:

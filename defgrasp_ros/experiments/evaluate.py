@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from defgrasp_ros.errors import EmptyGraspListError
+from defgrasp_ros.errors import EmptyGraspListError, ResultCode
 from defgrasp_ros.evaluation import EvaluationObserver, EvaluationOptions, Experiment, GraspEvaluation, Phase, Progress
 from defgrasp_ros.experiments.acceleration import ANGULAR, LINEAR, AccelerationTest, frozen_without_gravity
 from defgrasp_ros.experiments.batch import GraspBatch, chunks
@@ -89,5 +89,7 @@ def _run(batch: GraspBatch) -> list[GraspEvaluation]:
         FreeSqueeze(batch).run()
     for candidate in batch.candidates:
         if not candidate.reported:
+            if batch.canceled() and candidate.picked_up:
+                candidate.end(ResultCode.CANCELED, f"{candidate.evaluation.message}; canceled before all was done")
             batch.report(candidate)
     return [candidate.evaluation for candidate in batch.candidates]
