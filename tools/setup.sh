@@ -14,8 +14,8 @@ problem_with() {
     "$1" - 2> /dev/null <<'PY' || echo "does not run"
 import importlib.util, pathlib, sys, sysconfig
 version = "%d.%d" % sys.version_info[:2]
-if not (3, 10) <= sys.version_info[:2] <= (3, 12):
-    print("is Python %s; 3.10, 3.11 or 3.12 is needed" % version)
+if not (3, 11) <= sys.version_info[:2] <= (3, 12):
+    print("is Python %s; 3.11 or 3.12 is needed" % version)
 elif not importlib.util.find_spec("ensurepip"):
     print("has no venv (Debian, Ubuntu: sudo apt install python%s-venv)" % version)
 elif not (pathlib.Path(sysconfig.get_path("include")) / "Python.h").is_file():
@@ -25,7 +25,7 @@ PY
 
 choose_python() {
     local candidate problem reasons=""
-    for candidate in ${PYTHON:-python3 python3.12 python3.11 python3.10 /usr/bin/python3}; do
+    for candidate in ${PYTHON:-python3 python3.12 python3.11 /usr/bin/python3}; do
         problem=$(problem_with "$candidate")
         if [[ -z $problem ]]; then
             echo "$candidate"
