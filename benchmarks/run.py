@@ -1,8 +1,8 @@
 """Cost of a time step, stage by stage, over scenes, environments and stiffnesses.
 
-Run: ``python benchmarks/run.py`` (two to four minutes), or with ``--scene``, ``--environments``, ``--youngs-modulus``
-for other combinations; ``--json FILE`` keeps all numbers. It needs Python, Warp, NumPy, SciPy and this repository;
-without installing: ``PYTHONPATH=. python benchmarks/run.py``.
+Run: ``python benchmarks/run.py`` (four minutes on two busy cores), or with ``--scene``, ``--environments``,
+``--youngs-modulus`` for other combinations; ``--json FILE`` keeps all numbers. It needs Python, Warp, NumPy, SciPy and
+this repository; without installing: ``PYTHONPATH=. python benchmarks/run.py``.
 
 Scenes are the objects of ``scenes.py`` and mesh files, squeezed and held for a moment, each environment with another
 grasp; ``held``, a block between two pads as in comparisons of simulators; and ``pickup``, the whole pickup experiment.
