@@ -9,6 +9,7 @@ from defgrasp_ros.simulation import kernels_contact as contact
 from defgrasp_ros.simulation import kernels_coulomb as coulomb
 from defgrasp_ros.simulation import kernels_detection as detection
 from defgrasp_ros.simulation import kernels_faces as faces
+from defgrasp_ros.simulation import kernels_selection as selection
 from defgrasp_ros.simulation.contact_forces import SLIPPING_SHARE, ContactForces
 from defgrasp_ros.simulation.coulomb import ContactProblem, solve_contacts
 from defgrasp_ros.simulation.device_model import DeviceModel
@@ -142,9 +143,9 @@ class ContactSet:
             needed = self._propose(scene, rows, self._proposed, self._proposed_gap)
             if needed <= self.capacity:
                 inputs = [scene, rows, self._proposed, self._proposed_gap]
-                self._launch(detection.drop_dependent, (rows.shape[0], faces.BODY_COUNT), inputs, [self._owned])
+                self._launch(selection.drop_dependent, (rows.shape[0], faces.BODY_COUNT), inputs, [self._owned])
                 inputs = [self._proposed, self._proposed_gap, rows]
-                self._launch(detection.join_bodies, rows.shape[0], inputs, [self._found, self._gap])
+                self._launch(selection.join_bodies, rows.shape[0], inputs, [self._found, self._gap])
                 needed = int(self._found.count.numpy()[rows.numpy()].max(initial=0))
             if needed <= self.capacity:
                 return
@@ -194,7 +195,7 @@ class ContactSet:
     def _carry_forces(self, rows: wp.array, stale: wp.array) -> None:
         scene = self._scene(self._state.displacement, self._margin)
         inputs = [scene, rows, self.lists, self._gap]
-        self._launch(detection.carry_forces, rows.shape[0], inputs, [self._found, stale, self._missing])
+        self._launch(selection.carry_forces, rows.shape[0], inputs, [self._found, stale, self._missing])
 
     # --- compliance ---------------------------------------------------------------------------------------------
 

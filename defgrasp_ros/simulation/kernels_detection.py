@@ -13,23 +13,19 @@ edge over the flat part has up to two points, where it leaves it, and each may l
 has its minimum. A triangle has up to four, one for each corner of the flat part. With sharp edges these are
 the crossings of edges with the outline and the outline's corners.
 
-Points that depend on each other would make the contact problem singular. Of points that nearly coincide the one with
-the smallest gap stays. Where a flat face ends inside triangles, about two edges cross its outline for each node beyond
-it: where the nodes inside touch, keeping one of these points out of the face keeps them all out. So every point on
-the flat part must bring in a node of its own, see ``drop_dependent``.
+Points that nearly coincide are one. What is chosen among the candidates is in ``kernels_selection``; where the gap of
+an edge or a triangle is smallest, in ``kernels_gap``.
 """
 
 import warp as wp
 
 from defgrasp_ros.simulation.kernels_contact import (
     ContactList,
-    copy_contact,
     interpolate,
     interpolate_rest,
 )
 from defgrasp_ros.simulation.kernels_faces import (
     BODY_COUNT,
-    RIM,
     RIM_SLOPE,
     Bodies,
     Faces,
@@ -40,28 +36,18 @@ from defgrasp_ros.simulation.kernels_faces import (
     outline_low,
     to_face,
 )
+from defgrasp_ros.simulation.kernels_gap import edge_point, triangle_point
 from defgrasp_ros.simulation.types import vec2d, vec3d
 
 wp.set_module_options({"enable_backward": False})
 
 SAME_POINT = wp.constant(wp.float64(0.1))
 """Points whose weights differ by less than this at every node are one."""
-FLAT = wp.constant(wp.float64(0.99))
-"""Component of the contact normal along the face's normal above which a point counts as on the flat part."""
 DEPTH_IN_EDGE = wp.constant(wp.float64(5e-4))
 """Depth at which a point counts as inside a body, relative to its edge [-], where the margin asks for more: a fine mesh
 is there to resolve a fine pressure, and on a coarse one every point more depends on others."""
-EXACTLY_FLAT = wp.constant(wp.float64(1.0 - 1e-12))
 LOADED_FIRST = wp.constant(wp.float64(1e6))
 """Larger than any depth [m]: puts points that carry force before the others."""
-NO_NODE = -1
-UNDECIDED = -2
-KEPT_SHIFT = wp.constant(wp.float64(0.02))
-"""A point found again with weights that changed by less than this stays where it was in the material."""
-KEPT_TILT = wp.constant(wp.float64(1e-3))
-"""Change of a contact's normal that makes its compliance stale."""
-BISECTIONS = wp.constant(50)
-"""Halvings in the search for the smallest gap along an edge: to rounding."""
 CHUNK = 64
 """Features of the surface per word of the bit field of those that can touch."""
 
@@ -364,123 +350,6 @@ def propose(
     return count + 1
 
 
-# --- the point of an edge with the smallest gap ----------------------------------------------------------------------
-
-
-@wp.func
-def clip(a: vec3d, b: vec3d, low: vec2d, high: vec2d) -> vec2d:
-    """Return the range of fractions of the segment a-b within a rectangle; its end is below its start if none is."""
-    start = wp.float64(0.0)
-    end = wp.float64(1.0)
-    for k in range(2):
-        d = b[k] - a[k]
-        if d == wp.float64(0.0):
-            if a[k] < low[k] or a[k] > high[k]:
-                return vec2d(wp.float64(1.0), wp.float64(0.0))
-        else:
-            first = (low[k] - a[k]) / d
-            second = (high[k] - a[k]) / d
-            start = wp.max(start, wp.min(first, second))
-            end = wp.min(end, wp.max(first, second))
-    return vec2d(start, end)
-
-
-@wp.func
-def gap_slope(faces: Faces, body: int, a: vec3d, b: vec3d, f: wp.float64) -> wp.float64:
-    """Derivative of the gap with the fraction f of the segment a-b [m]."""
-    d = b - a
-    p = a + f * d
-    h = drop(faces, body, vec2d(p[0], p[1]))
-    return d[2] + h[1] * d[0] + h[2] * d[1]
-
-
-@wp.func
-def smallest_gap(faces: Faces, body: int, a: vec3d, b: vec3d, start: wp.float64, end: wp.float64) -> wp.float64:
-    """Return the fraction of the segment a-b, from start to end, where the gap is smallest."""
-    low = start
-    high = end
-    if gap_slope(faces, body, a, b, low) >= wp.float64(0.0):
-        return low
-    if gap_slope(faces, body, a, b, high) <= wp.float64(0.0):
-        return high
-    for _ in range(BISECTIONS):
-        middle = wp.float64(0.5) * (low + high)
-        if gap_slope(faces, body, a, b, middle) < wp.float64(0.0):
-            low = middle
-        else:
-            high = middle
-    return wp.float64(0.5) * (low + high)
-
-
-@wp.func
-def edge_point(faces: Faces, body: int, a: vec3d, b: vec3d, which: int) -> wp.float64:
-    """Return the fraction of the edge a-b at its first or second point, or -1 where it has none inside."""
-    none = wp.float64(-1.0)
-    whole = clip(a, b, outline_low(faces, body), outline_high(faces, body))
-    if whole[0] > whole[1]:
-        return none
-    flat = clip(a, b, faces.low[body], faces.high[body])
-    f = none
-    if flat[0] > flat[1]:
-        if which == 0:
-            f = smallest_gap(faces, body, a, b, whole[0], whole[1])
-    elif which == 0:
-        f = smallest_gap(faces, body, a, b, whole[0], flat[0])
-    else:
-        f = smallest_gap(faces, body, a, b, flat[1], whole[1])
-    if f <= wp.float64(0.0) or f >= wp.float64(1.0):
-        return none
-    return f
-
-
-# --- the points of a triangle with the smallest gap ------------------------------------------------------------------
-
-
-@wp.func
-def lowest_beyond(end: wp.float64, outward: wp.float64, radius: wp.float64, slope: wp.float64) -> wp.float64:
-    """Return the coordinate at or beyond an end of the flat part at which slope * p + h(p) is smallest [m]."""
-    m = outward * slope
-    d = wp.float64(0.0)
-    if m < wp.float64(0.0):
-        d = wp.min(-m / wp.sqrt(wp.float64(1.0) + m * m), RIM) * radius
-    return end + outward * d
-
-
-@wp.func
-def triangle_point(faces: Faces, body: int, a: vec3d, b: vec3d, c: vec3d, corner: int) -> vec3d:
-    """Return the weights of the point of a triangle with the smallest gap at or beyond a corner of the flat part.
-
-    One is not positive where that point lies outside the triangle.
-    """
-    one = wp.float64(1.0)
-    ab = b - a
-    ac = c - a
-    area = ab[0] * ac[1] - ab[1] * ac[0]
-    if wp.abs(area) <= wp.float64(1e-6) * wp.length(wp.cross(ab, ac)):
-        return vec3d(-one, -one, -one)
-    slope_0 = (ab[2] * ac[1] - ac[2] * ab[1]) / area
-    slope_1 = (ab[0] * ac[2] - ac[0] * ab[2]) / area
-    end_0 = faces.low[body][0]
-    outward_0 = -one
-    radius_0 = faces.fillet_low[body][0]
-    if corner % 2 == 1:
-        end_0 = faces.high[body][0]
-        outward_0 = one
-        radius_0 = faces.fillet_high[body][0]
-    end_1 = faces.low[body][1]
-    outward_1 = -one
-    radius_1 = faces.fillet_low[body][1]
-    if corner >= 2:
-        end_1 = faces.high[body][1]
-        outward_1 = one
-        radius_1 = faces.fillet_high[body][1]
-    p = lowest_beyond(end_0, outward_0, radius_0, slope_0) - a[0]
-    q = lowest_beyond(end_1, outward_1, radius_1, slope_1) - a[1]
-    weight_b = (p * ac[1] - q * ac[0]) / area
-    weight_c = (ab[0] * q - ab[1] * p) / area
-    return vec3d(one - weight_b - weight_c, weight_b, weight_c)
-
-
 # --- the search ------------------------------------------------------------------------------------------------------
 
 
@@ -601,134 +470,3 @@ def propose_contacts(
             bits = bits >> wp.uint64(1)
             k += 1
     proposed.count[row] = count
-
-
-@wp.func
-def is_flat(contacts: ContactList, row: int, c: int) -> bool:
-    """Whether a candidate lies on the flat part of a face, or nearly so."""
-    return contacts.key[row, c] >= 0 and contacts.axis[row, c][0] > FLAT
-
-
-@wp.func
-def is_taken(contacts: ContactList, owned: wp.array2d[int], row: int, count: int, node: int) -> bool:
-    """Whether a node is a candidate itself, on the flat part, or belongs to a point that stays."""
-    for c in range(count):
-        if owned[row, c] == node:
-            return True
-        nodes = contacts.nodes[row, c]
-        if nodes[0] == node and nodes[1] == node and contacts.key[row, c] >= 0:
-            # A node beyond the flat part does not speak for it, however little the fillet has dropped there.
-            return contacts.axis[row, c][0] > EXACTLY_FLAT
-    return False
-
-
-@wp.kernel
-def drop_dependent(
-    scene: Scene,
-    worlds: wp.array[int],  # (row,)
-    # In and out:
-    proposed: ContactList,  # row: body + BODY_COUNT * row of worlds
-    gaps: wp.array2d[wp.float64],  # along the normal of the face [m]
-    # Out:
-    owned: wp.array2d[int],  # the node that each point on an edge or in a triangle brings in
-):
-    """Give each point on the flat part a node of its own, the preferred points first; drop what gets none.
-
-    Points that carry force stay in any case.
-    """
-    i, body = wp.tid()
-    w = worlds[i]
-    row = wp.static(BODY_COUNT) * i + body
-    count = wp.min(proposed.count[row], proposed.key.shape[1])
-    for c in range(count):
-        owned[row, c] = wp.static(NO_NODE)
-        nodes = proposed.nodes[row, c]
-        if nodes[0] != nodes[1] and is_flat(proposed, row, c):
-            owned[row, c] = wp.static(UNDECIDED)
-    while True:
-        best = int(-1)
-        smallest = wp.float64(0.0)
-        for c in range(count):
-            if owned[row, c] == wp.static(UNDECIDED):
-                rank = preference(scene, w, proposed.key[row, c], gaps[row, c])
-                if best < 0 or rank < smallest:
-                    best = c
-                    smallest = rank
-        if best < 0:
-            break
-        own = int(-1)
-        largest = SAME_POINT + wp.float64(0.0)
-        for k in range(3):
-            node = proposed.nodes[row, best][k]
-            weight = weight_of(node, proposed.nodes[row, best], proposed.weights[row, best])
-            if weight > largest and not is_taken(proposed, owned, row, count, node):
-                own = node
-                largest = weight
-        owned[row, best] = own
-        if own == wp.static(NO_NODE) and smallest > -LOADED_FIRST:
-            proposed.key[row, best] = -1
-
-
-@wp.kernel
-def join_bodies(
-    proposed: ContactList,
-    proposed_gap: wp.array2d[wp.float64],
-    worlds: wp.array[int],  # (row,)
-    # Out:
-    found: ContactList,
-    gap_out: wp.array2d[wp.float64],  # (world, contact): along the normal of the face [m]
-):
-    """Put the candidates of all bodies of a world into one list; a count above the capacity tells to grow."""
-    i = wp.tid()
-    w = worlds[i]
-    count = int(0)
-    for body in range(wp.static(BODY_COUNT)):
-        row = wp.static(BODY_COUNT) * i + body
-        for k in range(wp.min(proposed.count[row], proposed.key.shape[1])):
-            if proposed.key[row, k] >= 0:
-                if count < found.key.shape[1]:
-                    copy_contact(proposed, row, k, found, w, count)
-                    gap_out[w, count] = proposed_gap[row, k]
-                count += 1
-    found.count[w] = count
-
-
-@wp.kernel
-def carry_forces(
-    scene: Scene,
-    worlds: wp.array[int],  # (row,)
-    former: ContactList,
-    found_gap: wp.array2d[wp.float64],  # (world, contact): along the normal of the face [m]
-    # In and out:
-    found: ContactList,
-    # Out:
-    compliance_is_stale: wp.array[int],  # (world,): set where the points changed
-    missing_out: wp.array[int],  # (row,): unlisted points inside a body
-):
-    """Give points found again their force and their place in the material; both lists are sorted by key."""
-    i = wp.tid()
-    w = worlds[i]
-    k = int(0)
-    same = int(0)
-    missing = int(0)
-    for c in range(found.count[w]):
-        while k < former.count[w] and former.key[w, k] < found.key[w, c]:
-            k += 1
-        if k < former.count[w] and former.key[w, k] == found.key[w, c]:
-            found.force[w, c] = former.force[w, k]
-            shift = wp.max(wp.abs(found.weights[w, c] - former.weights[w, k]))
-            if shift < KEPT_SHIFT:
-                nodes = former.nodes[w, k]
-                weights = former.weights[w, k]
-                found.weights[w, c] = weights
-                body = found.body[w, c]
-                x = interpolate_rest(scene.rest, nodes, weights)
-                x += interpolate(scene.displacement, w, nodes, weights)
-                touch(scene, w, body, x, to_face(scene.bodies, w, body, x), found, w, c)
-                if wp.max(wp.abs(found.axis[w, c] - former.axis[w, k])) < KEPT_TILT:
-                    same += 1
-        elif found_gap[w, c] < wp.float64(0.0):
-            missing += 1
-    if same != found.count[w] or found.count[w] != former.count[w]:
-        compliance_is_stale[w] = 1
-    missing_out[i] = missing
