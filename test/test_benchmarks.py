@@ -2,6 +2,7 @@
 
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,11 +10,17 @@ import warp as wp
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
-from scenes import Squeeze, mesh_of
+from scenes import HAND, Squeeze, mesh_of
 from stages import METHODS, floors, recorded_stages
 
+from defgrasp_ros.gripper import load_gripper
 from defgrasp_ros.material import Material
 from defgrasp_ros.object_model import ObjectModel
+
+
+def test_hand_is_that_of_the_description():
+    """The lengths that the benchmark writes out are those of the gripper's file."""
+    assert replace(HAND, name="") == replace(load_gripper(), name="", palm=None)
 
 
 def test_stages_account_for_the_whole_step():

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+import warp as wp
 
+from defgrasp_ros.simulation import kernels_coulomb
 from defgrasp_ros.simulation.coulomb import (
     ContactProblem,
     project_on_cone,
@@ -10,6 +12,7 @@ from defgrasp_ros.simulation.coulomb import (
     solve_contacts,
     with_de_saxce,
 )
+from defgrasp_ros.simulation.types import vec3d
 
 FRICTION = 0.5
 TOLERANCE = 1e-9
@@ -118,3 +121,22 @@ def test_no_direction_is_no_solution(monkeypatch):
     monkeypatch.setattr(np.linalg, "solve", singular)
     force, hard = solve_contacts(problem, np.zeros(len(offset)), TOLERANCE)
     assert hard and problem.residual(force, problem.motion(force)) > TOLERANCE
+
+
+def test_kernel_and_host_judge_alike():
+    """The residual that ends a step and the one that ends Newton's method are the same function."""
+    problem = problem_of(*random_problem(2))
+    random = np.random.default_rng(5)
+    force, motion = random.normal(size=(2, len(problem.offset)))
+    count = len(force) // 3
+    arrays = [wp.array(a.reshape(1, count, 3), dtype=vec3d, device="cpu") for a in (force, motion)]
+    out = wp.zeros(1, dtype=wp.float64, device="cpu")
+    inputs = [wp.array([count], dtype=int), wp.array([0], dtype=int), FRICTION, wp.array([problem.rho]), *arrays]
+    wp.launch(kernels_coulomb.contact_residual, dim=1, inputs=inputs, outputs=[out], device="cpu")
+    assert out.numpy()[0] == pytest.approx(problem.residual(force, motion), rel=1e-12)
+
+
+def test_no_contact_at_all():
+    """Nothing to solve is solved at once."""
+    force, hard = solve_contacts(ContactProblem(np.empty((0, 0)), np.empty(0), FRICTION, 1.0), np.empty(0), TOLERANCE)
+    assert len(force) == 0 and not hard
