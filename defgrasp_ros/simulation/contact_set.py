@@ -76,7 +76,8 @@ class ContactSet:
         self._motion = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
         self._rho = wp.zeros(worlds, dtype=wp.float64, device=device)
         self._problems = coulomb.ContactProblems()
-        self._problems.count, self._problems.friction, self._problems.rho = self.lists.count, self._model.friction, self._rho
+        self._problems.count, self._problems.rho = self.lists.count, self._rho
+        self._problems.friction = self._model.friction
         self._problems.matrix = wp.zeros((worlds, capacity, capacity), dtype=mat33d, device=device)
         self._problems.offset = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
         self._solver = ContactSolver(worlds, capacity, device)

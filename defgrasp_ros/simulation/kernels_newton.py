@@ -5,9 +5,9 @@
 The scale r [m/N] sets the path, not the solution. A line search on the norm of Phi lets it climb for a few iterations.
 From a good first guess one to four linear systems are enough; from a bad one it may get stuck.
 
-Points that depend on each other leave the forces undetermined, and the method may then wander. A proximal shift s helps:
-with W + s and the offset q - s lambda_0 the solution stays near the forces lambda_0 it began with. Repeated from each
-solution, this comes to one of the unshifted problem.
+Points that depend on each other leave the forces undetermined, and the method may then wander. A proximal shift s
+helps: with W + s and the offset q - s lambda_0 the solution stays near the forces lambda_0 it began with. Repeated from
+each solution, this comes to one of the unshifted problem.
 """
 
 import warp as wp
@@ -103,9 +103,7 @@ def find_change(problems: ContactProblems, buffers: NewtonBuffers, row: int, shi
 
 
 @wp.func
-def find_direction(
-    problems: ContactProblems, buffers: NewtonBuffers, row: int, scale: wp.float64, shift: wp.float64
-):
+def find_direction(problems: ContactProblems, buffers: NewtonBuffers, row: int, scale: wp.float64, shift: wp.float64):
     """Solve the linearised system; contacts that are open just give up their force."""
     w = problems.worlds[row]
     count = problems.count[w]
