@@ -57,6 +57,12 @@ class NotFoundError(DefgraspError):
     code = ResultCode.NOT_FOUND
 
 
+class ResourceExhaustedError(DefgraspError):
+    """The machine has not enough memory for what is asked."""
+
+    code = ResultCode.RESOURCE_EXHAUSTED
+
+
 class InvalidMeshError(DefgraspError):
     """The object's mesh cannot be read, or is not a solid that can be simulated."""
 

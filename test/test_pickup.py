@@ -230,7 +230,7 @@ def test_batches_give_what_one_batch_gives(monkeypatch):
     """More grasps than fit into a batch come out as they do together."""
     model, grasps = block(2e5), [grasp(str(i), position=(0.0, 0.0, 0.002 * i)) for i in range(3)]
     together = evaluate_grasps(model, grasps, load_gripper(), OPTIONS)
-    monkeypatch.setattr(evaluate, "MAX_BATCH", 2)
+    monkeypatch.setitem(evaluate.MAX_BATCH, "cpu", 2)
     apart = evaluate_grasps(model, grasps, load_gripper(), OPTIONS)
     for one, other in zip(together, apart, strict=True):
         assert one.code is other.code and one.grasp_index == other.grasp_index

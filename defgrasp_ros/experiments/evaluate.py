@@ -19,11 +19,13 @@ from defgrasp_ros.experiments.squeeze import FreeSqueeze
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.simulation.simulator import Simulator
+from defgrasp_ros.simulation.memory import worlds_that_fit
+from defgrasp_ros.simulation.simulator import Simulator, find_device
 
-MAX_BATCH = 64
-"""Grasps simulated together; more run in further batches, which bounds the memory."""
-MAX_WORLDS = 256
+MAX_BATCH = {"cpu": 64, "cuda": 1024}
+"""Grasps simulated together at most, by kind of device; more run in further batches. On a processor a batch of 50 costs
+no more per grasp than a larger one, and the first results come sooner."""
+MAX_WORLDS = {"cpu": 256, "cuda": 4096}
 """Worlds simulated together in the experiments with 16 directions per grasp."""
 
 
@@ -51,16 +53,19 @@ def evaluate_grasps(
     Raises:
         EmptyGraspListError: If there is no grasp.
         NotFoundError: If there is no such device.
+        ResourceExhaustedError: If it has not enough free memory for a single world.
         InvalidMeshError: If the mesh has no usable stiffness.
         SolverDivergedError: If the object alone finds no rest on the platform.
     """
     if not grasps:
         raise EmptyGraspListError("grasps is empty: give at least one grasp")
     observer = observer or EvaluationObserver()
-    batches = chunks(range(len(grasps)), MAX_BATCH)
+    kind = "cuda" if find_device(device).is_cuda else "cpu"
+    room = worlds_that_fit(object_model, find_device(device))
+    batches = chunks(range(len(grasps)), min(MAX_BATCH[kind], room))
     world_count = len(batches[0])
     if options.experiments - {Experiment.PICKUP, Experiment.SQUEEZE}:
-        world_count = min(MAX_WORLDS, DIRECTION_COUNT * world_count)
+        world_count = min(MAX_WORLDS[kind], DIRECTION_COUNT * world_count, room)
     simulator = Simulator(object_model, gripper, world_count, device)
     observer.on_progress(Progress(Phase.SETTLE, 0.0, 0.0, len(grasps), len(grasps)))
     settled = settle(simulator, 0, options.time_step)
