@@ -31,8 +31,6 @@ from defgrasp_ros.evaluation import (
     GraspEvaluation,
     GraspFeatures,
     GraspMetrics,
-    GraspSample,
-    Phase,
     ReorientationResult,
     SolverReport,
     SqueezeResult,
@@ -60,7 +58,6 @@ from defgrasp_ros.ros.request_conversion import (  # noqa: E402
     options_to_message,
 )
 from defgrasp_ros.ros.result_conversion import evaluation_from_message, evaluation_to_message  # noqa: E402
-from defgrasp_ros.ros.state_conversion import sample_to_contact_state, sample_to_joint_state  # noqa: E402
 
 BLOCK = box((0.04, 0.03, 0.02), (2, 2, 1))
 LIMIT = 10_000
@@ -340,25 +337,6 @@ def test_evaluation_that_measured_nothing_survives_the_message() -> None:
     assert back.reorientation is back.linear_acceleration is back.angular_acceleration is back.squeeze is None
     assert math.isnan(back.metrics.strain_energy)
     assert math.isnan(back.target_force)
-
-
-def test_sample_becomes_joints_and_contacts() -> None:
-    """Both fingers share opening and force; sums over contacts are those of the sample."""
-    fingers = (contact("left_finger", 2), contact("right_finger", 1))
-    sample = GraspSample(4, "top", Phase.SQUEEZE, 0.5, 0.02, -0.01, 3.0, fingers, platform_force=0.7)
-    joints = sample_to_joint_state(sample, STAMP)
-    assert list(joints.name) == ["left_finger_joint", "right_finger_joint"]
-    assert list(joints.position) == [0.02, 0.02]
-    assert list(joints.velocity) == [-0.01, -0.01]
-    assert list(joints.effort) == [1.5, 1.5]
-    assert joints.header.frame_id == "top"
-    contacts = sample_to_contact_state(sample, STAMP)
-    assert (contacts.grasp_id, contacts.grasp_index, contacts.platform_force) == ("top", 4, 0.7)
-    assert [finger.count for finger in contacts.fingers] == [2, 1]
-    left = contacts.fingers[0]
-    assert left.normal_force == pytest.approx(1.5 + 4.5)
-    assert (left.tangential_force.x, left.tangential_force.y) == pytest.approx((0.5 + 3.5, 0.0))
-    assert contacts.normal_force == pytest.approx(sum(finger.normal_force for finger in fingers))
 
 
 def test_parameter_file_is_that_of_the_table() -> None:

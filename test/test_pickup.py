@@ -15,6 +15,7 @@ from defgrasp_ros.gripper import load_gripper
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.shapes import box
 from defgrasp_ros.object_model import ObjectModel
+from defgrasp_ros.simulation.simulator import Simulator
 
 FROM_ABOVE = Rotation.from_euler("x", np.pi).as_quat()
 OPTIONS = EvaluationOptions(pickup_hold_time=0.5, return_fields=True)
@@ -39,8 +40,8 @@ class Witness(EvaluationObserver):
     def on_progress(self, progress):
         self.progress.append(progress)
 
-    def on_sample(self, sample):
-        self.samples.append(sample)
+    def on_samples(self, samples):
+        self.samples += samples
 
     def on_evaluation(self, evaluation):
         self.evaluations.append(evaluation)
@@ -160,6 +161,23 @@ def test_the_observer_sees_the_run(run):
     settled = [s for s in witness.samples if s.grasp_id == "held" and s.phase is Phase.SQUEEZE][-1]
     pads = sum(finger.forces.sum(axis=0)[2] for finger in settled.contacts)
     assert settled.platform_force + pads == pytest.approx(model.weight, rel=1e-4)
+
+
+def test_nothing_is_read_for_an_observer_that_looks_away(monkeypatch):
+    """An observer that wants no samples gets none, and the simulator is not asked for the fingers' speed."""
+
+    class Blind(Witness):
+        def wants_samples(self):
+            return False
+
+    asked = []
+    monkeypatch.setattr(Simulator, "opening_velocities", lambda _, worlds: asked.append(worlds) or 0.0 * worlds)
+    blind, witness = Blind(), Witness()
+    short = EvaluationOptions(pickup_hold_time=0.1, squeeze_time=0.05, platform_speed=1.0)
+    for observer in (blind, witness):
+        evaluate_grasps(block(), [grasp("held")], load_gripper(), short, observer=observer)
+        assert len(asked) == len(observer.samples)
+    assert not blind.samples and witness.samples
 
 
 def test_closing_along_gravity():

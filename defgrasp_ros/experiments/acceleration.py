@@ -159,6 +159,12 @@ class AccelerationTest:
             )
             self.batch.time += self.h
             now = self.simulator.normal_forces(worlds[active])[:, :2]
+            self.batch.sample(
+                worlds[active],
+                now.sum(axis=1),
+                [runs[i].candidate for i in active],
+                np.array([runs[i].number for i in active]),
+            )
             sliding = self.simulator.sliding(worlds[active]).all(axis=1)
             goes_on = np.ones(len(active), dtype=bool)
             for row, i in enumerate(active):

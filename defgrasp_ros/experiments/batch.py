@@ -9,17 +9,16 @@ import numpy as np
 
 from defgrasp_ros.errors import ResultCode
 from defgrasp_ros.evaluation import (
-    FINGER_NAMES,
     EvaluationObserver,
     EvaluationOptions,
     Experiment,
     GraspEvaluation,
-    GraspSample,
     Phase,
     Progress,
 )
 from defgrasp_ros.experiments.candidate import Candidate
 from defgrasp_ros.experiments.settling import SettledObject
+from defgrasp_ros.experiments.state_sampler import StateSampler
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.simulation.simulator import Simulator
 from defgrasp_ros.simulation.stepper import StepReport
@@ -71,9 +70,11 @@ class GraspBatch:
         self.observer = observer
         self.total = total
         self.time = start_time
+        self.experiment = Experiment.PICKUP
+        """What is being done."""
         self._started = time.monotonic()
         self._stopped = False
-        self._next_sample = start_time
+        self._sampler = StateSampler(simulator, settled, observer)
         default_force = self.model.default_target_force(options.force_safety_factor)
         self.candidates = []
         for index, grasp in grasps.items():
@@ -132,30 +133,25 @@ class GraspBatch:
         overall = (done + within * len(self.candidates)) / self.total
         self.observer.on_progress(Progress(phase, overall, self.time, active, self.total))
 
-    def sample(self, worlds: np.ndarray, closing_force: np.ndarray) -> None:
-        """Show the observer the state of the worlds that go on, once per sample interval."""
-        if self.time < self._next_sample:
-            return
-        self._next_sample = self.time + self.observer.sample_interval
-        openings = self.simulator.openings(worlds)
-        velocities = self.simulator.opening_velocities(worlds)
-        forces = self.simulator.contact_forces(worlds)
-        for row, candidate in enumerate(self.of(worlds)):
-            if candidate.finished:
-                continue
-            self.observer.on_sample(
-                GraspSample(
-                    candidate.evaluation.grasp_index,
-                    candidate.evaluation.grasp_id,
-                    candidate.phase,
-                    self.time,
-                    float(openings[row]),
-                    float(velocities[row]),
-                    float(closing_force[row]),
-                    forces[row].fingers(),
-                    forces[row].normal_force(len(FINGER_NAMES)),
-                )
-            )
+    def sample(
+        self,
+        worlds: np.ndarray,
+        closing_force: np.ndarray,
+        candidates: Sequence[Candidate] | None = None,
+        directions: np.ndarray | None = None,
+    ) -> None:
+        """Show the observer the state of the worlds that go on, once per sample interval.
+
+        Args:
+            worlds: Indices, shape ``(n,)``.
+            closing_force: With which the drive closes the pair of fingers [N], shape ``(n,)``.
+            candidates: The grasp in each world; None: those of the pickup.
+            directions: Of an experiment with several: which one each world is, shape ``(n,)``.
+        """
+        if candidates is None:
+            going = np.flatnonzero([not candidate.finished for candidate in self.of(worlds)])
+            worlds, closing_force, candidates = worlds[going], closing_force[going], self.of(worlds[going])
+        self._sampler.sample(self.time, self.experiment, worlds, candidates, closing_force, directions)
 
 
 def no_solution(report: StepReport, row: int, now: float) -> str:

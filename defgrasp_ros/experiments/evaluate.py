@@ -79,13 +79,17 @@ def _run(batch: GraspBatch) -> list[GraspEvaluation]:
     """Do the experiments one after the other, each for all grasps that can."""
     Pickup(batch).run()
     if batch.asks_for(Experiment.REORIENTATION):
+        batch.experiment = Experiment.REORIENTATION
         Reorientation(batch).run()
     if batch.asks_for(Experiment.LINEAR_ACCELERATION, Experiment.ANGULAR_ACCELERATION):
+        kinds = [kind for kind in (LINEAR, ANGULAR) if batch.asks_for(kind.experiment)]
+        batch.experiment = kinds[0].experiment
         frozen = frozen_without_gravity(batch)
-        for kind in (LINEAR, ANGULAR):
-            if batch.asks_for(kind.experiment):
-                AccelerationTest(batch, kind, frozen).run()
+        for kind in kinds:
+            batch.experiment = kind.experiment
+            AccelerationTest(batch, kind, frozen).run()
     if batch.asks_for(Experiment.SQUEEZE):
+        batch.experiment = Experiment.SQUEEZE
         FreeSqueeze(batch).run()
     for candidate in batch.candidates:
         if not candidate.reported:

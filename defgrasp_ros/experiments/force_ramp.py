@@ -56,6 +56,7 @@ def ramp_closing_force(
         batch.time += h
         force = start[waiting] + min(1.0, elapsed / ramp) * (end - start)[waiting]
         report = simulator.step(worlds[waiting], h, force, heights[waiting], quasi_static=True)
+        batch.sample(worlds[waiting], force, [candidates[i] for i in waiting])
         last, positions[waiting] = positions[waiting], simulator.positions(worlds[waiting])
         still = largest_motion(last, positions[waiting]) < STILL_CHANGE * size
         pads = simulator.normal_forces(worlds[waiting])[:, :2]

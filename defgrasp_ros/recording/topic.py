@@ -19,12 +19,16 @@ class Topic:
         message_class: Message class, e.g. ``sensor_msgs.msg.JointState``.
         depth: How many messages the publisher keeps.
         latched: Whether a late subscriber gets the kept messages (durability ``transient_local``).
+        description: What is on it, for people.
+        reliable: Whether a lost message is sent again (reliability ``reliable``).
     """
 
     name: str
     message_class: type
     depth: int
     latched: bool = False
+    description: str = ""
+    reliable: bool = True
 
     @property
     def type_name(self) -> str:
@@ -37,7 +41,7 @@ class Topic:
         return {
             "history": "keep_last",
             "depth": self.depth,
-            "reliability": "reliable",
+            "reliability": "reliable" if self.reliable else "best_effort",
             "durability": "transient_local" if self.latched else "volatile",
             "deadline": dict(UNLIMITED),
             "lifespan": dict(UNLIMITED),

@@ -113,8 +113,10 @@ class EvaluationRun:
             self._outputs,
             self._status,
             grasps.valid,
+            object_model.mesh,
+            gripper,
+            self._parameters,
             start_time=start_time,
-            sample_interval=1.0 / self._parameters["publish.sample_rate"],
             stop=self._stop,
         )
         for evaluation in grasps.refused:

@@ -20,11 +20,13 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from defgrasp_ros.errors import DefgraspError, ResultCode
+from defgrasp_ros.gripper import load_gripper
 from defgrasp_ros.ros.evaluation_run import EvaluationRun
 from defgrasp_ros.ros.object_registry import ObjectRegistry
 from defgrasp_ros.ros.object_services import ObjectServices
 from defgrasp_ros.ros.outputs import Outputs
 from defgrasp_ros.ros.parameters import declare_parameters, parameter_values
+from defgrasp_ros.ros.robot_description import send_robot_description
 from defgrasp_ros.ros.status_reporter import StatusReporter
 
 NODE_NAME = "defgrasp_evaluator"
@@ -60,6 +62,8 @@ class EvaluatorNode(Node):
         )
         self._registry = ObjectRegistry()
         self._object_services = ObjectServices(self, self._registry)
+        gripper = load_gripper(self.get_parameter("gripper").value)
+        send_robot_description(self._outputs, gripper, self.get_clock().now().nanoseconds)
         self._become_idle()
         self.get_logger().info(f"ready: {self.resolve_service_name(SERVICE_NAME)}")
 

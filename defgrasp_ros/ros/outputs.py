@@ -10,20 +10,22 @@ from rclpy.node import Node
 
 from defgrasp_ros.errors import RecordingError
 from defgrasp_ros.recording import RunLog, Topic
-from defgrasp_ros.ros.topics import LOGGED, PUBLISHED, qos_profile
+from defgrasp_ros.ros.topics import CLOCK, LOGGED, PUBLISHED, qos_profile
 
 
 class Outputs:
     """Publishers of all topics, and the log of the present run if there is one; may be used from several threads.
 
+    The clock has a publisher only where the parameter ``publish.clock`` is set at the start.
     A log that fails ends, but never the run.
     """
 
     def __init__(self, node: Node) -> None:
         self._logger = node.get_logger()
         self._full_names = {topic: node.resolve_topic_name(topic.name) for topic in LOGGED}
+        published = (*PUBLISHED, CLOCK) if node.get_parameter("publish.clock").value else PUBLISHED
         self._publishers = {
-            topic: node.create_publisher(topic.message_class, topic.name, qos_profile(topic)) for topic in PUBLISHED
+            topic: node.create_publisher(topic.message_class, topic.name, qos_profile(topic)) for topic in published
         }
         self._lock = Lock()
         self._log: RunLog | None = None
@@ -57,7 +59,9 @@ class Outputs:
 
     def wanted(self, topic: Topic) -> bool:
         """Whether somebody listens to a topic, or the log does."""
-        return self._log is not None or self._publishers[topic].get_subscription_count() > 0
+        if self._log is not None and topic in self._full_names:
+            return True
+        return topic in self._publishers and self._publishers[topic].get_subscription_count() > 0
 
     def send(self, topic: Topic, message: object, time: int) -> None:
         """Publish a message and log it.
@@ -71,8 +75,10 @@ class Outputs:
         self.log(topic, message, time)
 
     def publish(self, topic: Topic, message: object) -> None:
-        """Publish a message without logging it."""
-        self._publishers[topic].publish(message)
+        """Publish a message without logging it; one that nobody hears now or later costs nothing."""
+        publisher = self._publishers[topic]
+        if topic.latched or publisher.get_subscription_count() > 0:
+            publisher.publish(message)
 
     def log(self, topic: Topic, message: object, time: int) -> None:
         """Write a message into the log only; without effect where there is no log."""

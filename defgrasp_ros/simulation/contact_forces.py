@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from defgrasp_ros.evaluation import FINGER_NAMES, FingerContact
+from defgrasp_ros.simulation.kernels_faces import PALM
 
 SLIPPING_SHARE = 0.999
 """A point slips when its friction force reaches this share of mu times its normal force [-]."""
@@ -17,7 +18,7 @@ class ContactForces:
     """Points that carry force; vectors in the object frame, shape ``(contact, 3)``."""
 
     body: np.ndarray
-    """0 left pad, 1 right pad, 2 platform, shape ``(contact,)``."""
+    """0 left pad, 1 right pad, 2 platform, 3 palm, shape ``(contact,)``."""
     positions: np.ndarray
     normals: np.ndarray
     """Unit, from the body into the object."""
@@ -37,6 +38,10 @@ class ContactForces:
         """What the left and the right finger feel."""
         left, right = (self._finger(pad, name) for pad, name in enumerate(FINGER_NAMES))
         return left, right
+
+    def palm(self) -> FingerContact:
+        """What the palm feels."""
+        return self._finger(PALM, "palm")
 
     def _finger(self, pad: int, name: str) -> FingerContact:
         mine = self.body == pad

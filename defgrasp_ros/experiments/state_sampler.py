@@ -1,0 +1,101 @@
+"""Shows an observer the present state of running grasps, as often as it wants, and only what it wants."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from defgrasp_ros.evaluation import NAN, EvaluationObserver, Experiment, GraspSample, NodalFields, Phase
+from defgrasp_ros.experiments.candidate import Candidate
+from defgrasp_ros.experiments.metrics import deformation
+from defgrasp_ros.experiments.settling import SettledObject, deformed_state
+from defgrasp_ros.simulation.kernels_faces import PLATFORM
+from defgrasp_ros.simulation.simulator import Simulator
+
+PHASES = {
+    Experiment.REORIENTATION: Phase.REORIENT,
+    Experiment.LINEAR_ACCELERATION: Phase.ACCELERATE,
+    Experiment.ANGULAR_ACCELERATION: Phase.ACCELERATE,
+    Experiment.SQUEEZE: Phase.SQUEEZE_FREE,
+}
+"""Of the experiments that consist of one phase."""
+
+
+class StateSampler:
+    """Reads the state of grasps from the simulator.
+
+    Args:
+        simulator: Has the worlds.
+        settled: The object before contact.
+        observer: Is shown the samples.
+    """
+
+    def __init__(self, simulator: Simulator, settled: SettledObject, observer: EvaluationObserver):
+        self._simulator = simulator
+        self._settled = settled
+        self._observer = observer
+        self._next_time = 0.0
+
+    def sample(
+        self,
+        time: float,
+        experiment: Experiment,
+        worlds: np.ndarray,
+        candidates: Sequence[Candidate],
+        closing_force: np.ndarray,
+        directions: np.ndarray | None,
+    ) -> None:
+        """Show the observer the worlds of the direction that it follows, if the interval is over and it wants to see.
+
+        Args:
+            time: Simulated [s].
+            experiment: What is being done.
+            worlds: Indices, shape ``(n,)``.
+            candidates: The grasp in each world.
+            closing_force: Of the drive [N], shape ``(n,)``.
+            directions: Which direction each world is, shape ``(n,)``; None: the experiment has none.
+        """
+        rows = np.arange(len(worlds))
+        if directions is not None:
+            rows = np.flatnonzero(directions == self._observer.sample_direction)
+        if not len(rows) or time < self._next_time or not self._observer.wants_samples():
+            return
+        self._next_time = time + self._observer.sample_interval
+        worlds = worlds[rows]
+        openings = self._simulator.openings(worlds)
+        velocities = self._simulator.opening_velocities(worlds)
+        forces = self._simulator.contact_forces(worlds)
+        samples = []
+        for place, row in enumerate(rows):
+            candidate, platform_force = candidates[row], forces[place].normal_force(PLATFORM)
+            on_platform = experiment is Experiment.PICKUP or platform_force > 0.0
+            samples.append(
+                GraspSample(
+                    grasp_index=candidate.evaluation.grasp_index,
+                    grasp_id=candidate.evaluation.grasp_id,
+                    grasp=candidate.grasp,
+                    experiment=experiment,
+                    direction=None if directions is None else int(directions[row]),
+                    phase=PHASES.get(experiment, candidate.phase),
+                    time=time,
+                    opening=float(openings[place]),
+                    opening_velocity=float(velocities[place]),
+                    closing_force=float(closing_force[row]),
+                    contacts=forces[place].fingers(),
+                    palm=forces[place].palm(),
+                    platform_force=platform_force,
+                    platform_height=candidate.platform_height if on_platform else NAN,
+                    read_fields=partial(self._read_fields, int(worlds[place])),
+                )
+            )
+        self._observer.on_samples(samples)
+
+    def _read_fields(self, world: int) -> NodalFields:
+        mesh, state = self._simulator.model.mesh, deformed_state(self._simulator, world)
+        return NodalFields(
+            state.positions,
+            deformation(self._settled.state.positions, state.positions, mesh.node_volumes),
+            mesh.nodal_mean(state.von_mises_stress),
+        )
