@@ -194,16 +194,10 @@ def test_markers_show_every_phase(run: tuple[Heard, EvaluationAnswer]) -> None:
     assert {"squeeze", "hold", "reorient", "accelerate", "squeeze free"} <= texts
 
 
-def test_status_counts_grasps_and_speed(run: tuple[Heard, EvaluationAnswer]) -> None:
-    """Finished grasps grow to all of them; the speed is a number only while something is simulated."""
+def test_status_and_evaluations_tell_of_the_run(run: tuple[Heard, EvaluationAnswer]) -> None:
+    """Every phase is reported, and each grasp's result."""
     heard, _ = run
     running = [status for status in heard[STATUS] if status.state == status.STATE_RUNNING]
-    assert [status.grasp_count for status in running] == [2] * len(running)
-    finished = [status.finished_grasps for status in running]
-    assert finished == sorted(finished) and finished[0] == 0
-    assert any(status.finished_grasps == 2 for status in heard[STATUS])
-    assert np.nanmax([status.real_time_factor for status in running]) > 0.0
-    assert np.isnan(heard[STATUS][-1].real_time_factor)
     assert {Phase.SQUEEZE, Phase.REORIENT, Phase.ACCELERATE} <= {status.phase for status in running}
     assert [evaluation.grasp_id for evaluation in heard[EVALUATIONS]] == ["centre", "higher"]
 

@@ -14,7 +14,7 @@ import pytest
 from ros_processes import isolated_ros
 from scipy.spatial.transform import Rotation
 
-from defgrasp_ros.evaluation import Experiment, FingerContact, GraspSample, NodalFields, Phase, Progress
+from defgrasp_ros.evaluation import Experiment, FingerContact, GraspSample, NodalFields, Phase
 from defgrasp_ros.experiments.directions import DIRECTION_COUNT
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import load_gripper
@@ -33,7 +33,6 @@ from defgrasp_ros.ros.markers import Scene, stress_colors  # noqa: E402
 from defgrasp_ros.ros.outputs import Outputs  # noqa: E402
 from defgrasp_ros.ros.parameters import PARAMETERS, declare_parameters, parameter_values  # noqa: E402
 from defgrasp_ros.ros.point_cloud import fields_to_point_cloud  # noqa: E402
-from defgrasp_ros.ros.real_time_factor import WINDOW, RealTimeFactor  # noqa: E402
 from defgrasp_ros.ros.run_observer import RunObserver  # noqa: E402
 from defgrasp_ros.ros.shown_grasp import ShownGrasp  # noqa: E402
 from defgrasp_ros.ros.state_conversion import sample_to_contact_state  # noqa: E402
@@ -337,18 +336,6 @@ def test_samples_are_wanted_while_somebody_listens(tmp_path: Path) -> None:
         finally:
             node.destroy_node()
             rclpy.shutdown()
-
-
-def test_real_time_factor() -> None:
-    """Two grasps at a tenth of real time each are at a fifth together; what is long past does not count."""
-    factor = RealTimeFactor()
-    assert np.isnan(factor.update(Progress(Phase.HOLD, 0.0, 0.0, 2, 2), 100.0))
-    for second in range(1, 10):
-        speed = factor.update(Progress(Phase.HOLD, 0.0, 0.1 * second, 2, 2), 100.0 + second)
-        assert speed == pytest.approx(0.2)
-    for second in range(10, 20):
-        speed = factor.update(Progress(Phase.HOLD, 0.0, 1.0 + 0.3 * (second - 10), 1, 2), 100.0 + second)
-    assert second > 10 + WINDOW and speed == pytest.approx(0.3)
 
 
 def test_directions_of_the_parameter_are_those_that_there_are() -> None:

@@ -19,16 +19,16 @@ class Topic:
         message_class: Message class, e.g. ``sensor_msgs.msg.JointState``.
         depth: How many messages the publisher keeps.
         latched: Whether a late subscriber gets the kept messages (durability ``transient_local``).
+        reliable: Whether a lost message is sent again; else best effort.
         description: What is on it, for people.
-        reliable: Whether a lost message is sent again (reliability ``reliable``).
     """
 
     name: str
     message_class: type
     depth: int
     latched: bool = False
-    description: str = ""
     reliable: bool = True
+    description: str = ""
 
     @property
     def type_name(self) -> str:

@@ -23,10 +23,11 @@ class Outputs:
     def __init__(self, node: Node) -> None:
         self._logger = node.get_logger()
         self._full_names = {topic: node.resolve_topic_name(topic.name) for topic in LOGGED}
-        published = (*PUBLISHED, CLOCK) if node.get_parameter("publish.clock").value else PUBLISHED
         self._publishers = {
-            topic: node.create_publisher(topic.message_class, topic.name, qos_profile(topic)) for topic in published
+            topic: node.create_publisher(topic.message_class, topic.name, qos_profile(topic)) for topic in PUBLISHED
         }
+        if node.get_parameter("publish.clock").value:
+            self._publishers[CLOCK] = node.create_publisher(CLOCK.message_class, CLOCK.name, qos_profile(CLOCK))
         self._lock = Lock()
         self._log: RunLog | None = None
         self._problem = ""
@@ -59,9 +60,8 @@ class Outputs:
 
     def wanted(self, topic: Topic) -> bool:
         """Whether somebody listens to a topic, or the log does."""
-        if self._log is not None and topic in self._full_names:
-            return True
-        return topic in self._publishers and self._publishers[topic].get_subscription_count() > 0
+        is_heard = topic in self._publishers and self._publishers[topic].get_subscription_count() > 0
+        return is_heard or (self._log is not None and topic in self._full_names)
 
     def send(self, topic: Topic, message: object, time: int) -> None:
         """Publish a message and log it.

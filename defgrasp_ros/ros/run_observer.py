@@ -94,7 +94,6 @@ class RunObserver(EvaluationObserver):
 
     def send_evaluation(self, evaluation: GraspEvaluation) -> None:
         """Publish an evaluation that has its index in the request; the log gets it with its fields over the mesh."""
-        self._status.finished_grasp()
         self._outputs.publish(EVALUATIONS, self.message(evaluation, with_fields=False))
         self._outputs.log(EVALUATIONS, self.message(evaluation), self._time(evaluation.simulated_time))
 

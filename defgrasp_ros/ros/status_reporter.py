@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from threading import RLock
 
@@ -11,7 +10,6 @@ from rclpy.node import Node
 
 from defgrasp_ros.evaluation import Progress
 from defgrasp_ros.ros.outputs import Outputs
-from defgrasp_ros.ros.real_time_factor import RealTimeFactor
 from defgrasp_ros.ros.topics import STATUS
 
 HEARTBEAT = 1.0
@@ -29,7 +27,6 @@ class StatusReporter:
         self._outputs = outputs
         self._lock = RLock()
         self._status = EvaluatorStatus()
-        self._speed = RealTimeFactor()
         self._last_report = 0.0
         node.create_timer(HEARTBEAT, self._report)
 
@@ -51,7 +48,6 @@ class StatusReporter:
 
     def running(self, progress: Progress) -> None:
         """The simulation got further."""
-        real_time_factor = self._speed.update(progress, time.monotonic())
         with self._lock:
             status = self._status
             before = (status.state, status.phase, status.active_grasps)
@@ -60,29 +56,19 @@ class StatusReporter:
             status.progress = float(progress.fraction)
             status.simulated_time = float(progress.simulated_time)
             status.active_grasps = int(progress.active_grasps)
-            status.real_time_factor = real_time_factor
             has_changed = before != (status.state, status.phase, status.active_grasps)
             if has_changed or time.monotonic() - self._last_report >= PROGRESS_INTERVAL:
                 self._report()
-
-    def finished_grasp(self) -> None:
-        """One more evaluation is known."""
-        with self._lock:
-            self._status.finished_grasps += 1
-            self._report()
 
     def finishing(self) -> None:
         """The simulation is over; log and answer are being written."""
         with self._lock:
             self._status.state = EvaluatorStatus.STATE_FINISHING
-            self._status.real_time_factor = math.nan
             self._report()
 
     def _become(self, status: EvaluatorStatus) -> None:
-        status.real_time_factor = math.nan
         with self._lock:
             self._status = status
-            self._speed = RealTimeFactor()
             self._report()
 
     def _report(self) -> None:
