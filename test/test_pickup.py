@@ -180,6 +180,21 @@ def test_nothing_is_read_for_an_observer_that_looks_away(monkeypatch):
     assert not blind.samples and witness.samples
 
 
+def test_fields_of_the_last_sample_are_those_of_the_metrics():
+    """Displacement and stress that are shown at the end of the hold lead to the evaluation's own numbers."""
+
+    class Reader(EvaluationObserver):
+        def on_samples(self, samples):
+            self.fields = samples[0].read_fields()
+
+    model, reader = block(), Reader()
+    (evaluation,) = evaluate_grasps(model, [grasp("held")], load_gripper(), OPTIONS, observer=reader)
+    assert reader.fields.displacement.max() == pytest.approx(evaluation.metrics.max_deformation, rel=1e-2)
+    np.testing.assert_allclose(reader.fields.positions, evaluation.fields["post_pickup"].positions, atol=1e-5)
+    nodal = model.mesh.nodal_mean(evaluation.fields["post_pickup"].von_mises_stress)
+    np.testing.assert_allclose(reader.fields.von_mises_stress, nodal, rtol=2e-2)
+
+
 def test_closing_along_gravity():
     """A grasp with vertical closing axis: the lower pad carries the weight on top of the squeeze."""
     model = block(extents=(0.03, 0.03, 0.02))
