@@ -57,19 +57,35 @@ class StateSampler:
             closing_force: Of the drive [N], shape ``(n,)``.
             directions: Which direction each world is, shape ``(n,)``; None: the experiment has none.
         """
-        rows = np.arange(len(worlds))
+        followed = np.arange(len(worlds))
+        direction = None
         if directions is not None:
-            rows = np.flatnonzero(directions == self._observer.sample_direction)
-        if not len(rows) or time < self._next_time or not self._observer.wants_samples():
+            direction = self._observer.sample_direction
+            followed = np.flatnonzero(directions == direction)
+        if not len(followed) or time < self._next_time or not self._observer.wants_samples():
             return
         self._next_time = time + self._observer.sample_interval
-        worlds = worlds[rows]
+        chosen = [candidates[row] for row in followed]
+        self._observer.on_samples(
+            self.read(time, experiment, worlds[followed], chosen, closing_force[followed], direction)
+        )
+
+    def read(
+        self,
+        time: float,
+        experiment: Experiment,
+        worlds: np.ndarray,
+        candidates: Sequence[Candidate],
+        closing_force: np.ndarray,
+        direction: int | None = None,
+    ) -> list[GraspSample]:
+        """Return the present state of some worlds; arguments as those of ``sample``, with one direction for all."""
         openings = self._simulator.openings(worlds)
         velocities = self._simulator.opening_velocities(worlds)
-        forces = self._simulator.contact_forces(worlds)
+        contact_forces = self._simulator.contact_forces(worlds)
         samples = []
-        for place, row in enumerate(rows):
-            candidate, platform_force = candidates[row], forces[place].normal_force(PLATFORM)
+        for row, (candidate, forces) in enumerate(zip(candidates, contact_forces, strict=True)):
+            platform_force = forces.normal_force(PLATFORM)
             on_platform = experiment is Experiment.PICKUP or platform_force > 0.0
             samples.append(
                 GraspSample(
@@ -77,20 +93,20 @@ class StateSampler:
                     grasp_id=candidate.evaluation.grasp_id,
                     grasp=candidate.grasp,
                     experiment=experiment,
-                    direction=None if directions is None else int(directions[row]),
+                    direction=direction,
                     phase=PHASES.get(experiment, candidate.phase),
                     time=time,
-                    opening=float(openings[place]),
-                    opening_velocity=float(velocities[place]),
+                    opening=float(openings[row]),
+                    opening_velocity=float(velocities[row]),
                     closing_force=float(closing_force[row]),
-                    contacts=forces[place].fingers(),
-                    palm=forces[place].palm(),
+                    contacts=forces.fingers(),
+                    palm=forces.palm(),
                     platform_force=platform_force,
                     platform_height=candidate.platform_height if on_platform else NAN,
-                    read_fields=partial(self._read_fields, int(worlds[place])),
+                    read_fields=partial(self._read_fields, int(worlds[row])),
                 )
             )
-        self._observer.on_samples(samples)
+        return samples
 
     def _read_fields(self, world: int) -> NodalFields:
         mesh, state = self._simulator.model.mesh, deformed_state(self._simulator, world)
