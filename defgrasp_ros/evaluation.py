@@ -390,5 +390,5 @@ class EvaluationObserver:
         """One grasp is finished."""
 
     def should_stop(self) -> bool:
-        """Whether the run should end now; grasps not finished come back with code CANCELED."""
+        """Whether the run is canceled; grasps not finished come back with code CANCELED."""
         return False

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from defgrasp_ros.errors import EmptyGraspListError, ResultCode
+from defgrasp_ros.errors import EmptyGraspListError, InvalidOptionsError, ResultCode
 from defgrasp_ros.evaluation import EvaluationObserver, EvaluationOptions, GraspEvaluation, Phase
 from defgrasp_ros.experiments import evaluate, evaluate_grasps
 from defgrasp_ros.grasp import Grasp
@@ -252,6 +252,22 @@ def test_stopping_keeps_what_is_finished():
     grasps = [grasp("held"), grasp("beside", position=(0.06, 0.0, 0.0))]
     evaluations = evaluate_grasps(block(), grasps, load_gripper(), OPTIONS, observer=Impatient())
     assert [e.code for e in evaluations] == [ResultCode.CANCELED, ResultCode.NO_CONTACT]
+
+
+def test_time_limit_keeps_what_is_finished():
+    """Once the time is over, what was not finished is marked as timed out; what failed before keeps its reason."""
+    grasps = [grasp("held"), grasp("beside", position=(0.06, 0.0, 0.0))]
+    evaluations = evaluate_grasps(block(), grasps, load_gripper(), OPTIONS, time_limit=1e-6)
+    assert [e.code for e in evaluations] == [ResultCode.TIMEOUT, ResultCode.NO_CONTACT]
+    assert evaluations[0].message == "stopped at the time limit of 1e-06 s before this grasp was finished"
+    assert np.isnan(evaluations[0].metrics.max_von_mises_stress)
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, np.nan])
+def test_time_limit_without_meaning_is_an_error(limit):
+    """A time limit that is no positive number is refused by name."""
+    with pytest.raises(InvalidOptionsError, match="time_limit"):
+        evaluate_grasps(block(), [grasp("held")], load_gripper(), OPTIONS, time_limit=limit)
 
 
 def test_no_grasp_is_an_error():

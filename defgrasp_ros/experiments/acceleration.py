@@ -16,7 +16,8 @@ from defgrasp_ros.evaluation import AccelerationResult, EvaluationOptions, Exper
 from defgrasp_ros.experiments.batch import GraspBatch, chunks, no_solution
 from defgrasp_ros.experiments.candidate import Candidate
 from defgrasp_ros.experiments.directions import DIRECTION_COUNT, sphere_directions
-from defgrasp_ros.experiments.force_ramp import Failure, load_free, ramp_closing_force
+from defgrasp_ros.experiments.force_ramp import load_free, ramp_closing_force
+from defgrasp_ros.experiments.interruption import Failure
 from defgrasp_ros.simulation.shard import WorldSnapshot
 from defgrasp_ros.simulation.simulator import Simulator
 
@@ -147,16 +148,12 @@ class AccelerationTest:
         normal = self.simulator.normal_forces(worlds)[:, :2]
         before, acceleration, velocity = normal.copy(), 0.0, 0.0
         active = np.arange(count)
-        while len(active) and not self.batch.canceled():
+        while len(active) and not self.batch.interrupted():
             last = acceleration
             acceleration = min(last + self.jerk * self.h, self.limit)
             velocity += self.h * acceleration
-            self.kind.apply(
-                self.simulator, worlds[active], directions[active], centres[active], acceleration, velocity
-            )
-            report = self.simulator.step(
-                worlds[active], self.h, forces[active], heights[active], quasi_static=False
-            )
+            self.kind.apply(self.simulator, worlds[active], directions[active], centres[active], acceleration, velocity)
+            report = self.simulator.step(worlds[active], self.h, forces[active], heights[active], quasi_static=False)
             self.batch.time += self.h
             now = self.simulator.normal_forces(worlds[active])[:, :2]
             sliding = self.simulator.sliding(worlds[active]).all(axis=1)
@@ -180,7 +177,7 @@ class AccelerationTest:
             fraction = done + share * acceleration / self.limit
             self.batch.progress(self.kind.experiment, Phase.ACCELERATE, fraction, len(active))
         for i in active:
-            runs[i].reason = "canceled"
+            runs[i].reason = self.batch.interrupted().message
 
 
 def fingertip_midpoint(candidate: Candidate, tip: float) -> np.ndarray:

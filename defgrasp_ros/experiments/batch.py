@@ -19,6 +19,7 @@ from defgrasp_ros.evaluation import (
     Progress,
 )
 from defgrasp_ros.experiments.candidate import Candidate
+from defgrasp_ros.experiments.interruption import Failure, Interruption
 from defgrasp_ros.experiments.settling import SettledObject
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.simulation.simulator import Simulator
@@ -51,6 +52,7 @@ class GraspBatch:
         observer: Is told what happens.
         total: Number of grasps in the whole evaluation.
         start_time: Simulated time so far [s].
+        interruption: Says when the run has to end early.
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class GraspBatch:
         observer: EvaluationObserver,
         total: int,
         start_time: float,
+        interruption: Interruption,
     ):
         self.simulator = simulator
         self.settled = settled
@@ -72,7 +75,7 @@ class GraspBatch:
         self.total = total
         self.time = start_time
         self._started = time.monotonic()
-        self._stopped = False
+        self._interruption = interruption
         self._next_sample = start_time
         default_force = self.model.default_target_force(options.force_safety_factor)
         self.candidates = []
@@ -118,10 +121,9 @@ class GraspBatch:
         candidate.reported = True
         self.observer.on_evaluation(candidate.evaluation)
 
-    def canceled(self) -> bool:
-        """Whether the run should end now."""
-        self._stopped = self._stopped or self.observer.should_stop()
-        return self._stopped
+    def interrupted(self) -> Failure | None:
+        """Return why the run has to end now; None: it may go on."""
+        return self._interruption.reason()
 
     def progress(self, experiment: Experiment, phase: Phase, fraction: float, active: int) -> None:
         """Say how far the batch is, ``fraction`` in [0, 1] of one of its experiments."""

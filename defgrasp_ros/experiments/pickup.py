@@ -64,7 +64,8 @@ class Pickup:
         self._come_to_rest(held)
         for candidate in self.batch.candidates:
             if not candidate.finished:
-                self.batch.finish(candidate, ResultCode.CANCELED, "canceled before this grasp was finished")
+                why = self.batch.interrupted()
+                self.batch.finish(candidate, why.code, f"{why.message} before this grasp was finished")
 
     # --- phases -------------------------------------------------------------------------------------------------
 
@@ -117,7 +118,7 @@ class Pickup:
         size = self.model.mesh.size
         elapsed, positions = 0.0, self.simulator.positions(self.running)
         waiting = self.running
-        while len(waiting) and not self.batch.canceled():
+        while len(waiting) and not self.batch.interrupted():
             elapsed += h
             self.batch.time += h
             share = min(1.0, elapsed / ramp)
@@ -158,7 +159,7 @@ class Pickup:
         speed, tick = 0.0, 0
         calm = np.zeros(len(self.batch.candidates), dtype=bool)
         held: list[int] = []
-        while len(self.running) and not self.batch.canceled():
+        while len(self.running) and not self.batch.interrupted():
             speed = min(speed + PLATFORM_ACCELERATION * h, self.options.platform_speed)
             # Calm worlds take one long step when the others take the first of LONG_STEP short ones.
             groups = [(self.running[~calm[self.running]], h)]
@@ -202,7 +203,7 @@ class Pickup:
         h = LONG_STEP * self.options.time_step
         positions = self.simulator.positions(held)
         for step in range(REST_STEPS):
-            if not len(held) or self.batch.canceled():
+            if not len(held) or self.batch.interrupted():
                 break
             self.batch.time += h
             self.batch.step(held, h, self.batch.targets(held), quasi_static=True)
@@ -223,9 +224,7 @@ class Pickup:
             goes_on = np.array([not self.batch.candidates[w].finished for w in held])
             held, positions = held[goes_on], positions[goes_on]
 
-    def _follow_hold(
-        self, candidate: Candidate, h: float, normal: np.ndarray, fastest: float, elapsed: float
-    ) -> bool:
+    def _follow_hold(self, candidate: Candidate, h: float, normal: np.ndarray, fastest: float, elapsed: float) -> bool:
         """Decide after a step whether one grasp has lost or goes on; return whether it has held long enough."""
         remaining = self.options.pickup_hold_time - candidate.holding_time
         touching = candidate.touching(normal[:2]).all()
