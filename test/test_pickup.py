@@ -162,6 +162,44 @@ def test_the_observer_sees_the_run(run):
     assert settled.platform_force + pads == pytest.approx(model.weight, rel=1e-4)
 
 
+def test_the_course_of_a_pickup(run):
+    """Time rises; both pads carry the target force in the hold, the platform the weight before and nothing then."""
+    model, evaluations, _ = run
+    course, target = evaluations[0].pickup, evaluations[0].target_force
+    assert (np.diff(course.time) > 0.0).all()
+    assert list(dict.fromkeys(course.phase)) == [Phase.SQUEEZE, Phase.LOWER_PLATFORM, Phase.HOLD]
+    assert (np.diff(course.opening[course.phase == Phase.SQUEEZE]) <= 0.0).all()
+    held = course.phase == Phase.HOLD
+    np.testing.assert_allclose((course.left_normal_force + course.right_normal_force)[held], target, rtol=1e-2)
+    assert course.platform_force[0] == pytest.approx(model.weight, rel=0.1)
+    assert (course.platform_force[held] == 0.0).all()
+    assert np.isnan(course.slip[0]) and 0.0 <= course.slip[-1] < 1e-3
+    assert course.max_von_mises_stress[-1] == pytest.approx(evaluations[0].metrics.max_von_mises_stress, rel=0.05)
+
+
+def test_when_and_how_far_a_dropped_object_slips(run):
+    """The time of the loss is there for what was lost alone; what was held has hardly slipped."""
+    _, evaluations, _ = run
+    held, dropped, missed = evaluations[:3]
+    assert math.isnan(held.loss_of_contact_time) and 0.0 <= held.slip_distance < 1e-3
+    lowering = dropped.pickup.time[dropped.pickup.phase == Phase.LOWER_PLATFORM][0]
+    interval = Witness.sample_interval
+    assert lowering + dropped.loss_of_contact_time == pytest.approx(dropped.pickup.time[-1], abs=2.0 * interval)
+    assert dropped.pickup.slip[-1] > 1e-3
+    assert missed.pickup is None and math.isnan(missed.slip_distance) and math.isnan(missed.loss_of_contact_time)
+
+
+def test_palm_and_pads_carry_the_weight():
+    """A block on the palm of a hand from below: pads and palm together balance the weight, pads do not."""
+    model, pads = block(), load_gripper()
+    upside_down = grasp("on the palm", position=(0.0, 0.0, -0.015 - pads.palm.face), orientation=(0.0, 0.0, 0.0, 1.0))
+    (evaluation,) = evaluate_grasps(model, [upside_down], pads, OPTIONS)
+    assert evaluation.code is ResultCode.OK
+    carried = sum(finger.forces.sum(axis=0) for finger in evaluation.contacts)
+    assert evaluation.palm_force[2] > 0.1 * model.weight
+    np.testing.assert_allclose(carried + evaluation.palm_force, [0.0, 0.0, model.weight], atol=1e-3 * model.weight)
+
+
 def test_closing_along_gravity():
     """A grasp with vertical closing axis: the lower pad carries the weight on top of the squeeze."""
     model = block(extents=(0.03, 0.03, 0.02))

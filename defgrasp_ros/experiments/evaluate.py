@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from defgrasp_ros.errors import EmptyGraspListError
 from defgrasp_ros.evaluation import EvaluationObserver, EvaluationOptions, Experiment, GraspEvaluation, Phase, Progress
 from defgrasp_ros.experiments.acceleration import ANGULAR, LINEAR, AccelerationTest, frozen_without_gravity
-from defgrasp_ros.experiments.batch import GraspBatch, chunks
+from defgrasp_ros.experiments.batch import GraspBatch, Run, chunks
 from defgrasp_ros.experiments.directions import DIRECTION_COUNT
+from defgrasp_ros.experiments.discretisation_error import StressRecovery
 from defgrasp_ros.experiments.interruption import Interruption
 from defgrasp_ros.experiments.pickup import Pickup
 from defgrasp_ros.experiments.reorientation import Reorientation
@@ -70,11 +71,13 @@ def evaluate_grasps(
     simulator = Simulator(object_model, gripper, world_count, device)
     observer.on_progress(Progress(Phase.SETTLE, 0.0, 0.0, len(grasps), len(grasps)))
     settled = settle(simulator, 0, options.time_step)
+    recovery = StressRecovery(object_model.mesh)
+    run = Run(simulator, settled, options, observer, interruption, recovery, len(grasps))
     evaluations: list[GraspEvaluation] = []
     start = settled.duration
     for indices in batches:
         chosen = {index: grasps[index] for index in indices}
-        batch = GraspBatch(simulator, settled, chosen, options, observer, len(grasps), start, interruption)
+        batch = GraspBatch(run, chosen, start)
         evaluations += _run(batch)
         start = batch.time
     observer.on_progress(Progress(Phase.DONE, 1.0, start, 0, len(grasps)))

@@ -56,7 +56,7 @@ def ramp_closing_force(
         goes_on = np.ones(len(waiting), dtype=bool)
         for row, i in enumerate(waiting):
             candidate = candidates[i]
-            candidate.count_step(report, row)
+            candidate.count_step(report, row, h)
             touching = (pads[row] > candidate.touching_force).all()
             reached = abs(pads[row].sum() - end[i]) < FORCE_TOLERANCE * end[i]
             if not report.converged[row]:

@@ -198,7 +198,7 @@ class Reorientation:
         normal = simulator.normal_forces(worlds)[:, :2]
         failures = {}
         for row, candidate in enumerate(candidates):
-            candidate.count_step(report, row)
+            candidate.count_step(report, row, h)
             if not report.converged[row]:
                 failures[row] = Failure(ResultCode.SOLVER_DIVERGED, no_solution(report, row, self.batch.time))
             elif not candidate.touching(normal[row]).all():
