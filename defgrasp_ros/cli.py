@@ -75,6 +75,10 @@ def evaluate(
     gripper: Annotated[str, typer.Option(help="Gripper description in config/grippers")] = DEFAULT_GRIPPER,
     experiments: Experiments = None,
     preset: Preset = None,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(help="Wall time after which the run ends with what is finished [s]", show_default="none"),
+    ] = None,
     device: Annotated[str, typer.Option(help="cpu or cuda:0")] = "cpu",
     output: Annotated[Path | None, typer.Option(help="Folder for evaluations.json and evaluations.png")] = None,
     as_json: Annotated[
@@ -108,7 +112,7 @@ def evaluate(
     )
     console.print(material_text(substance))
     with ProgressBar(console, len(chosen)) as bar:
-        evaluations = evaluate_grasps(model, chosen, hand, options, device, bar)
+        evaluations = evaluate_grasps(model, chosen, hand, options, device, bar, time_limit)
     for index, evaluation in zip(indices, evaluations, strict=True):
         evaluation.grasp_index = index
 

@@ -31,6 +31,7 @@ from defgrasp_ros.evaluation import (
     GraspEvaluation,
     GraspFeatures,
     GraspMetrics,
+    PickupCourse,
     ReorientationResult,
     SolverReport,
     SqueezeResult,
@@ -57,7 +58,7 @@ from defgrasp_ros.ros.request_conversion import (  # noqa: E402
     options_from_message,
     options_to_message,
 )
-from defgrasp_ros.ros.result_conversion import evaluation_from_message, evaluation_to_message  # noqa: E402
+from defgrasp_ros.ros.result_conversion import NUMBERS, evaluation_from_message, evaluation_to_message  # noqa: E402
 
 BLOCK = box((0.04, 0.03, 0.02), (2, 2, 1))
 LIMIT = 10_000
@@ -271,8 +272,12 @@ def test_evaluation_survives_the_message() -> None:
         target_force=2.0,
         applied_force=1.99,
         contacts=(contact("left_finger", 2), contact("right_finger", 0)),
+        palm_force=np.array([0.1, -0.2, 0.3]),
         slip_distance=0.001,
         holding_time=1.25,
+        loss_of_contact_time=2.5,
+        stress_error=150.0,
+        deformation_error=1e-5,
         simulated_time=3.5,
         wall_time=0.75,
         solver=SolverReport(False, 10, 20, 1e-9, 1, 2),
@@ -283,8 +288,9 @@ def test_evaluation_survives_the_message() -> None:
     assert (message.header.stamp, message.header.frame_id) == (STAMP, "object")
     for name in ("grasp_index", "grasp_id", "code", "message", "features", "metrics", "solver"):
         assert getattr(back, name) == getattr(evaluation, name)
-    for name in ("target_force", "applied_force", "slip_distance", "holding_time", "simulated_time", "wall_time"):
+    for name in NUMBERS:
         assert getattr(back, name) == getattr(evaluation, name)
+    np.testing.assert_array_equal(back.palm_force, evaluation.palm_force)
     assert back.contacts is not None
     for contact_back, contact_there in zip(back.contacts, evaluation.contacts, strict=True):
         assert (contact_back.name, contact_back.slipping) == (contact_there.name, contact_there.slipping)
@@ -308,6 +314,7 @@ def test_experiments_survive_the_message() -> None:
     evaluation = GraspEvaluation(
         0,
         "top",
+        pickup=PickupCourse(squeezed[0], np.array([3, 3, 5]), *squeezed[1:], squeezed[0], squeezed[1]),
         reorientation=ReorientationResult(directions, 2.5, *turned, reasons, {(3, 1): state, (15, 3): state}),
         linear_acceleration=AccelerationResult(directions, some, some + 1.0, some > 10.0, reasons),
         angular_acceleration=AccelerationResult(directions, some + 2.0, some, some > 5.0, reasons),
@@ -316,7 +323,7 @@ def test_experiments_survive_the_message() -> None:
         ),
     )
     back = evaluation_from_message(evaluation_to_message(evaluation, STAMP))
-    for name in ("reorientation", "linear_acceleration", "angular_acceleration", "squeeze"):
+    for name in ("pickup", "reorientation", "linear_acceleration", "angular_acceleration", "squeeze"):
         result, there = getattr(back, name), getattr(evaluation, name)
         for field in dataclasses.fields(there):
             if field.name not in ("states", "contacts"):
@@ -335,6 +342,7 @@ def test_evaluation_that_measured_nothing_survives_the_message() -> None:
     back = evaluation_from_message(evaluation_to_message(GraspEvaluation(0, ""), STAMP))
     assert back.contacts is None
     assert back.reorientation is back.linear_acceleration is back.angular_acceleration is back.squeeze is None
+    assert back.pickup is None and np.isnan(back.palm_force).all()
     assert math.isnan(back.metrics.strain_energy)
     assert math.isnan(back.target_force)
 

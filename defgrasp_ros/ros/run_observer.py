@@ -95,11 +95,11 @@ class RunObserver(EvaluationObserver):
     def send_evaluation(self, evaluation: GraspEvaluation) -> None:
         """Publish an evaluation that has its index in the request; the log gets it with its fields over the mesh."""
         self._outputs.publish(EVALUATIONS, self.message(evaluation, with_fields=False))
-        self._outputs.log(EVALUATIONS, self.message(evaluation), self._time(evaluation.simulated_time))
+        self._outputs.log(EVALUATIONS, self.message(evaluation), self._time(evaluation.end_time))
 
     def message(self, evaluation: GraspEvaluation, *, with_fields: bool = True) -> msg.GraspEvaluation:
         """Return the message of an evaluation, stamped with the time at which it ended."""
-        stamp = time_message(self._time(evaluation.simulated_time))
+        stamp = time_message(self._time(evaluation.end_time))
         return evaluation_to_message(evaluation, stamp, with_fields=with_fields)
 
     def _time(self, simulated_time: float) -> int:
