@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from threading import Event
 
 from defgrasp_interfaces import msg
 
+from defgrasp_ros.errors import ResultCode
 from defgrasp_ros.evaluation import EvaluationObserver, GraspEvaluation, GraspSample, Progress
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.ros.fields import NANOSECONDS, time_message
@@ -15,6 +15,7 @@ from defgrasp_ros.ros.outputs import Outputs
 from defgrasp_ros.ros.result_conversion import evaluation_to_message
 from defgrasp_ros.ros.state_conversion import sample_to_contact_state, sample_to_joint_state
 from defgrasp_ros.ros.status_reporter import StatusReporter
+from defgrasp_ros.ros.stop_signal import StopSignal
 from defgrasp_ros.ros.topics import CONTACTS, EVALUATIONS, JOINT_STATES
 
 
@@ -37,7 +38,7 @@ class RunObserver(EvaluationObserver):
         grasps: Mapping[int, Grasp],
         start_time: int,
         sample_interval: float,
-        stop: Event,
+        stop: StopSignal,
     ) -> None:
         self.sample_interval = sample_interval
         self._outputs = outputs
@@ -45,6 +46,8 @@ class RunObserver(EvaluationObserver):
         self._identities = [{"grasp_index": index, "grasp_id": grasp.id} for index, grasp in grasps.items()]
         self._start_time = start_time
         self._stop = stop
+        self.messages: dict[int, msg.GraspEvaluation] = {}
+        """The evaluations so far, with fields over the mesh, by index in the request."""
 
     def on_progress(self, progress: Progress) -> None:
         self._status.running(progress)
@@ -63,13 +66,23 @@ class RunObserver(EvaluationObserver):
         return self._stop.is_set()
 
     def in_request(self, evaluation: GraspEvaluation) -> GraspEvaluation:
-        """Return an evaluation with the index and the id that its grasp has in the request."""
-        return dataclasses.replace(evaluation, **self._identities[evaluation.grasp_index])
+        """Return an evaluation with the index and the id that its grasp has in the request.
+
+        One that ended early gets code and reason of what ended the run.
+        """
+        evaluation = dataclasses.replace(evaluation, **self._identities[evaluation.grasp_index])
+        if evaluation.code == ResultCode.CANCELED:
+            text = f"{evaluation.message}: {self._stop.reason}"
+            evaluation = dataclasses.replace(evaluation, code=self._stop.code, message=text)
+        return evaluation
 
     def send_evaluation(self, evaluation: GraspEvaluation) -> None:
         """Publish an evaluation that has its index in the request; the log gets it with its fields over the mesh."""
-        self._outputs.publish(EVALUATIONS, self.message(evaluation, with_fields=False))
-        self._outputs.log(EVALUATIONS, self.message(evaluation), self._time(evaluation.simulated_time))
+        without_fields = self.message(evaluation, with_fields=False)
+        self._outputs.publish(EVALUATIONS, without_fields)
+        message = self.messages[evaluation.grasp_index] = self.message(evaluation)
+        self._outputs.log(EVALUATIONS, message, self._time(evaluation.simulated_time))
+        self._status.finished(without_fields)
 
     def message(self, evaluation: GraspEvaluation, *, with_fields: bool = True) -> msg.GraspEvaluation:
         """Return the message of an evaluation, stamped with the time at which it ended."""

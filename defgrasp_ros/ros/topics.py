@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from defgrasp_interfaces.msg import ContactState, EvaluationRequest, EvaluatorStatus, GraspEvaluation
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from defgrasp_ros.recording import Topic
@@ -27,6 +28,13 @@ PUBLISHED = (STATUS, JOINT_STATES, CONTACTS, EVALUATIONS)
 LOGGED = (*PUBLISHED, REQUEST)
 
 
+EVERY_FEEDBACK = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+"""Of the feedback of the action: many grasps may end at the same instant."""
+
+STATUS_LEASE = Duration(seconds=3.0)
+"""A process that does not vouch for its status for so long is dead."""
+
+
 def qos_profile(topic: Topic) -> QoSProfile:
     """Return the quality of service with which a topic is published."""
     return QoSProfile(
@@ -34,4 +42,6 @@ def qos_profile(topic: Topic) -> QoSProfile:
         depth=topic.depth,
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE,
+        liveliness=LivelinessPolicy.AUTOMATIC,
+        liveliness_lease_duration=STATUS_LEASE if topic is STATUS else Duration(),
     )
