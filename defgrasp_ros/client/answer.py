@@ -38,6 +38,8 @@ class EvaluationProgress(Progress):
 
     run_id: str = ""
     """Name of the run, also of its log; empty when idle."""
+    object_name: str = ""
+    """As the request has it."""
     finished_grasps: int = 0
     """Grasps whose evaluation is known."""
     queued_goals: int = 0
@@ -71,6 +73,7 @@ def progress_from_message(status: EvaluatorStatus, time_remaining: float = math.
         active_grasps=status.active_grasps,
         grasp_count=status.grasp_count,
         run_id=status.run_id,
+        object_name=status.object_name,
         finished_grasps=status.finished_grasps,
         queued_goals=status.queued_goals,
         time_remaining=time_remaining,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
+from threading import Lock
 from typing import Any
 
 from defgrasp_interfaces.action import EvaluateGrasps
@@ -16,7 +16,6 @@ from defgrasp_interfaces.srv import (
     RemoveObject,
     SampleGrasps,
 )
-from rclpy.action import ActionClient
 from std_srvs.srv import Trigger
 
 from defgrasp_ros.client.answer import EvaluationAnswer, EvaluationProgress
@@ -34,7 +33,6 @@ from defgrasp_ros.ros.request_conversion import (
     object_to_message,
     options_to_message,
 )
-from defgrasp_ros.ros.topics import EVERY_FEEDBACK
 
 DEFAULT_EVALUATOR = "/defgrasp_evaluator"
 
@@ -51,17 +49,13 @@ class GraspEvaluatorClient:
     """
 
     def __init__(self, evaluator: str = DEFAULT_EVALUATOR, node_name: str = "grasp_evaluator_client") -> None:
+        self._evaluator = evaluator
+        self._node_name = node_name
+        self._lock = Lock()
         self._connection = Connection(evaluator, node_name)
-        self._service = self._connection.client(EvaluateGrasp, "evaluate_grasp")
-        self._action = ActionClient(
-            self._connection.node,
-            EvaluateGrasps,
-            f"{evaluator}/evaluate_grasps",
-            feedback_sub_qos_profile=EVERY_FEEDBACK,
-        )
 
     def wait_until_ready(self, timeout: float = READY_TIMEOUT) -> None:
-        """Wait until the evaluator is there.
+        """Wait until the evaluator is there; every call does so, too.
 
         Args:
             timeout: Longest time to wait [s].
@@ -69,12 +63,7 @@ class GraspEvaluatorClient:
         Raises:
             EvaluatorGoneError: If it does not appear in time.
         """
-        deadline = time.monotonic() + timeout
-        there = self._service.wait_for_service(timeout_sec=timeout) and self._action.wait_for_server(
-            timeout_sec=max(0.0, deadline - time.monotonic())
-        )
-        if not (there and self._connection.wait_until_seen(max(0.0, deadline - time.monotonic()))):
-            raise self._connection.gone(f"no evaluator at {self._connection.evaluator} after {timeout:g} s")
+        self._connected(timeout)
 
     def evaluate_grasps(
         self,
@@ -158,14 +147,13 @@ class GraspEvaluatorClient:
             options=experiment,
             time_limit=float(time_limit),
         )
-        self.wait_until_ready()
-        mark = self._connection.mark()
+        connection = self._connected()
         reports = GoalReports(on_progress, on_evaluation)
-        accepted = self._action.send_goal_async(EvaluateGrasps.Goal(request=request), reports.take)
-        handle = self._connection.wait(accepted, f"{self._connection.evaluator}/evaluate_grasps", None, mark)
+        accepted = connection.action.send_goal_async(EvaluateGrasps.Goal(request=request), reports.take)
+        handle = connection.wait(accepted, connection.action_name, None)
         if not handle.accepted:
             raise self._rejection()
-        return EvaluationGoal(self._connection, handle, mark)
+        return EvaluationGoal(connection, handle)
 
     def call(self, request: EvaluationRequest, timeout: float | None = None) -> EvaluateGrasp.Response:
         """Send a request message to the service as it is, and return the answer as it comes, also a refusal.
@@ -174,8 +162,7 @@ class GraspEvaluatorClient:
             EvaluatorGoneError: If no evaluator is there, or it ends before it answers.
             TimeoutError: If the time is up; the evaluator goes on.
         """
-        self.wait_until_ready()
-        return self._connection.ask(self._service, EvaluateGrasp.Request(request=request), timeout)
+        return self._ask(EvaluateGrasp, "evaluate_grasp", EvaluateGrasp.Request(request=request), timeout)
 
     def stop(self, timeout: float | None = None) -> bool:
         """End what the evaluator evaluates at present, whoever asked for it; return whether there was something."""
@@ -282,10 +269,17 @@ class GraspEvaluatorClient:
         return response
 
     def _ask(self, kind: type, name: str, request: object, timeout: float | None) -> Any:
-        self.wait_until_ready()
-        service = self._connection.client(kind, name)
-        service.wait_for_service(READY_TIMEOUT)  # discovered a moment after the first one
-        return self._connection.ask(service, request, timeout)
+        return self._connected().ask(kind, name, request, timeout)
+
+    def _connected(self, timeout: float = READY_TIMEOUT) -> Connection:
+        """Return the connection to a living evaluator; errors as of ``wait_until_ready``."""
+        with self._lock:
+            if self._connection.is_lost:
+                self._connection.close()
+                self._connection = Connection(self._evaluator, self._node_name)
+            connection = self._connection
+        connection.wait_until_ready(timeout)
+        return connection
 
     def _rejection(self) -> IncorrectStateError | ResourceExhaustedError:
         """Return why a goal was rejected, which an action cannot say itself."""

@@ -43,10 +43,9 @@ class GoalReports:
 class EvaluationGoal:
     """An evaluation under way; made by ``GraspEvaluatorClient.start_evaluation``."""
 
-    def __init__(self, connection: Connection, handle: ClientGoalHandle, mark: int) -> None:
+    def __init__(self, connection: Connection, handle: ClientGoalHandle) -> None:
         self._connection = connection
         self._handle = handle
-        self._mark = mark
         self._result: Future = handle.get_result_async()
 
     @property
@@ -69,6 +68,5 @@ class EvaluationGoal:
             TimeoutError: If the time is up; the evaluator goes on.
             DefgraspError: If the request is refused: the class of ``defgrasp_ros.errors`` with the evaluator's code.
         """
-        what = f"{self._connection.evaluator}/evaluate_grasps"
-        response = self._connection.wait(self._result, what, timeout, self._mark)
+        response = self._connection.wait(self._result, self._connection.action_name, timeout)
         return answer_from_message(response.result)
