@@ -13,11 +13,10 @@ import rclpy
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import MultiThreadedExecutor
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
-from defgrasp_ros.errors import DefgraspError, IncorrectStateError, ResourceExhaustedError, ResultCode
+from defgrasp_ros.errors import IncorrectStateError, ResourceExhaustedError, ResultCode
 from defgrasp_ros.gripper import load_gripper
 from defgrasp_ros.ros.diagnostics import Diagnostics
 from defgrasp_ros.ros.evaluation_action import ACTION_NAME, EvaluationAction
@@ -25,6 +24,7 @@ from defgrasp_ros.ros.evaluation_queue import EvaluationQueue
 from defgrasp_ros.ros.evaluation_service import SERVICE_NAME, EvaluationService
 from defgrasp_ros.ros.evaluator import Evaluator, give_up
 from defgrasp_ros.ros.evaluator_info import EvaluatorInfo
+from defgrasp_ros.ros.managed_node import ManagedNode
 from defgrasp_ros.ros.object_registry import ObjectRegistry
 from defgrasp_ros.ros.object_services import ObjectServices
 from defgrasp_ros.ros.open_answers import OpenAnswers
@@ -38,7 +38,7 @@ EXECUTOR_THREADS = 4
 """One may wait for a transition, one for the mesher; the others keep everything else alive."""
 
 
-class EvaluatorNode(LifecycleNode):
+class EvaluatorNode(ManagedNode):
     """Evaluates candidate grasps on request.
 
     Configured, it has checked device and gripper, and its kernels are compiled; active, it does what the queue holds.
@@ -50,7 +50,6 @@ class EvaluatorNode(LifecycleNode):
         super().__init__(NODE_NAME)
         declare_parameters(self)
         self._devices: list[str] = []
-        self._device_problem: str | None = None
         self._takes_requests: bool = self.get_parameter("autostart").value
         self._registry = ObjectRegistry()
         self._outputs = Outputs(self)
@@ -65,38 +64,29 @@ class EvaluatorNode(LifecycleNode):
         ObjectServices(self, self._registry)
         Diagnostics(
             self,
-            lambda: self._device_problem,
+            lambda: self.problem,
             lambda: self._queue.waiting_count,
             lambda: self._evaluator.last_failure,
         )
         self.create_service(Trigger, "~/stop", self._stop, callback_group=MutuallyExclusiveCallbackGroup())
         self._evaluator.rest()
         if self._takes_requests:
-            # In the callback group of the lifecycle services, so that no transition comes in between.
-            self._autostart = self.create_timer(0.0, self._start)
+            self.start_by_itself()
 
     def stop(self) -> None:
         """End every request, and take no more; the callers get what is finished, the rest CANCELED."""
         self._takes_requests = False
         self._queue.close()
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def configure(self) -> None:
         """Check gripper and device, and compile the kernels."""
         from defgrasp_ros.simulation.simulator import device_names, prepare_device  # loads the simulator
 
-        try:
-            self._devices = device_names()
-            load_gripper(self.get_parameter("gripper").value)
-            prepare_device(self.get_parameter("device").value)
-        except Exception as error:  # rclpy would swallow it
-            self._device_problem = str(error)
-            details = "" if isinstance(error, DefgraspError) else f"\n{traceback.format_exc()}"
-            self.get_logger().error(f"cannot be configured: {error}{details}")
-            return TransitionCallbackReturn.FAILURE
-        self._device_problem = ""
-        return TransitionCallbackReturn.SUCCESS
+        self._devices = device_names()
+        load_gripper(self.get_parameter("gripper").value)
+        prepare_device(self.get_parameter("device").value)
 
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def activate(self) -> None:
         """Take requests."""
         self._takes_requests = self._evaluator.is_active = True
         self._evaluator.rest()
@@ -104,47 +94,22 @@ class EvaluatorNode(LifecycleNode):
         self.get_logger().info(
             f"ready: {self.resolve_service_name(SERVICE_NAME)}, {self.resolve_service_name(ACTION_NAME)}"
         )
-        return TransitionCallbackReturn.SUCCESS
 
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def deactivate(self, reason: str) -> None:
         """Take no more requests; those that are there end, and their callers get what is finished."""
-        self._close("the evaluator was deactivated")
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget the registered objects."""
-        self._registry.clear()
-        self._device_problem = None
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """As ``on_deactivate``, for good."""
-        self._close("the evaluator was shut down")
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """A transition raised: back to unconfigured."""
-        self._close("the evaluator failed in a transition")
-        return TransitionCallbackReturn.SUCCESS
-
-    def _start(self) -> None:
-        """Become active; where that fails, tell those who wait, and stay."""
-        self._autostart.cancel()
-        if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
-            self.trigger_activate()
-        else:
-            self._close(f"the evaluator is not active: {self._device_problem}")
-
-    def _close(self, reason: str) -> None:
         self._takes_requests = self._evaluator.is_active = False
         self._queue.pause()
         if not self._queue.end_all(ResultCode.CANCELED, reason):
             self._evaluator.rest()
 
+    def cleanup(self) -> None:
+        """Forget the registered objects."""
+        self._registry.clear()
+
     def _require_room(self) -> None:
         """Raise where no request can be taken now."""
         if not self._takes_requests:
-            why = self._device_problem or "activate it with its lifecycle services"
+            why = self.problem or "activate it with its lifecycle services"
             raise IncorrectStateError(f"the evaluator is not active: {why}")
         most = self.get_parameter("max_queued_goals").value
         if self._queue.is_full(most):
@@ -170,12 +135,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     executor.add_node(node)
 
     def spin() -> None:
-        try:
-            executor.spin()
-        except Exception:
-            node.get_logger().fatal(traceback.format_exc())
-        finally:
-            ended.set()
+        while rclpy.ok() and not ended.is_set():
+            try:
+                executor.spin()
+            except Exception:  # of one callback; the others go on
+                node.get_logger().error(traceback.format_exc())
+        ended.set()
 
     spinner = Thread(target=spin, name="executor")
     spinner.start()
