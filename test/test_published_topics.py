@@ -98,8 +98,8 @@ def until(condition) -> None:
 def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Heard, EvaluationAnswer]:
     """Everything heard in this process of a run of two grasps through all experiments, with a log."""
     directory = tmp_path_factory.mktemp("logs")
-    parameters = ["-p", "publish.clock:=true", "-p", "publish.sample_rate:=200.0", "-p", "publish.direction:=3"]
-    with isolated_ros(), running_evaluator(directory, *parameters), GraspEvaluatorClient() as client:
+    parameters = {"publish.clock": "true", "publish.sample_rate": 200.0, "publish.direction": 3}
+    with isolated_ros(), running_evaluator(directory, **parameters), GraspEvaluatorClient() as client:
         client.wait_until_ready(TIMEOUT)
         with listening(*PUBLISHED, CLOCK) as heard:
             answer = client.evaluate_grasps(BLOCK, MATERIAL, GRASPS, options=OPTIONS, timeout=TIMEOUT)
@@ -195,10 +195,14 @@ def test_markers_show_every_phase(run: tuple[Heard, EvaluationAnswer]) -> None:
 
 
 def test_status_and_evaluations_tell_of_the_run(run: tuple[Heard, EvaluationAnswer]) -> None:
-    """Every phase is reported, and each grasp's result."""
+    """Every phase is reported, each grasp's result, how many there are, and the speed while something is simulated."""
     heard, _ = run
     running = [status for status in heard[STATUS] if status.state == status.STATE_RUNNING]
     assert {Phase.SQUEEZE, Phase.REORIENT, Phase.ACCELERATE} <= {status.phase for status in running}
+    assert {status.grasp_count for status in running} == {2}
+    assert max(status.finished_grasps for status in heard[STATUS]) == 2
+    assert np.nanmax([status.real_time_factor for status in running]) > 0.0
+    assert np.isnan(heard[STATUS][-1].real_time_factor)
     assert [evaluation.grasp_id for evaluation in heard[EVALUATIONS]] == ["centre", "higher"]
 
 

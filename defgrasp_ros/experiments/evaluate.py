@@ -59,6 +59,7 @@ def evaluate_grasps(
         NotFoundError: If there is no such device.
         InvalidMeshError: If the mesh has no usable stiffness.
         SolverDivergedError: If the object alone finds no rest on the platform.
+        CanceledError: If the observer wants the run to end before the object has come to rest.
     """
     if not grasps:
         raise EmptyGraspListError("grasps is empty: give at least one grasp")
@@ -70,7 +71,7 @@ def evaluate_grasps(
         world_count = min(MAX_WORLDS, DIRECTION_COUNT * world_count)
     simulator = Simulator(object_model, gripper, world_count, device)
     observer.on_progress(Progress(Phase.SETTLE, 0.0, 0.0, len(grasps), len(grasps)))
-    settled = settle(simulator, 0, options.time_step)
+    settled = settle(simulator, 0, options.time_step, observer.should_stop)
     recovery = StressRecovery(object_model.mesh)
     run = Run(simulator, settled, options, observer, interruption, recovery, len(grasps))
     evaluations: list[GraspEvaluation] = []

@@ -95,11 +95,14 @@ def options_to_message(options: EvaluationOptions) -> msg.ExperimentOptions:
 def options_from_message(message: msg.ExperimentOptions, defaults: EvaluationOptions) -> EvaluationOptions:
     """Return the options of a message, with ``defaults`` where a number is 0, and where no experiment is named.
 
+    A bool of a message cannot be left out: states settle where both message and ``defaults`` say so.
+
     Raises:
         InvalidOptionsError: If a value is outside its range.
     """
     given = {field.name: getattr(message, field.name) for field in dataclasses.fields(EvaluationOptions)}
     named = {name: value for name, value in given.items() if isinstance(value, bool) or value}
+    named["reorientation_settles"] = message.reorientation_settles and defaults.reorientation_settles
     return dataclasses.replace(defaults, **named)
 
 

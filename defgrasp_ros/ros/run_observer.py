@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from threading import Event
 
 from defgrasp_interfaces import msg
 from rosgraph_msgs.msg import Clock
 
+from defgrasp_ros.errors import ResultCode
 from defgrasp_ros.evaluation import EvaluationObserver, GraspEvaluation, GraspSample, Progress
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
@@ -21,6 +21,7 @@ from defgrasp_ros.ros.robot_description import send_robot_description
 from defgrasp_ros.ros.shown_grasp import ShownGrasp
 from defgrasp_ros.ros.state_conversion import sample_to_contact_state
 from defgrasp_ros.ros.status_reporter import StatusReporter
+from defgrasp_ros.ros.stop_signal import StopSignal
 from defgrasp_ros.ros.topics import ALL_JOINT_STATES, CLOCK, CONTACTS, EVALUATIONS, SAMPLED
 
 
@@ -47,7 +48,7 @@ class RunObserver(EvaluationObserver):
         gripper: Gripper,
         parameters: Mapping,
         start_time: int,
-        stop: Event,
+        stop: StopSignal,
     ) -> None:
         self.sample_interval = 1.0 / parameters["publish.sample_rate"]
         self.sample_direction = parameters["publish.direction"]
@@ -58,6 +59,8 @@ class RunObserver(EvaluationObserver):
         self._shown = ShownGrasp(outputs, mesh, gripper, parameters)
         self._start_time = start_time
         self._stop = stop
+        self.messages: dict[int, msg.GraspEvaluation] = {}
+        """The evaluations so far, with fields over the mesh, by index in the request."""
         send_robot_description(outputs, gripper, start_time)
 
     def on_progress(self, progress: Progress) -> None:
@@ -89,13 +92,23 @@ class RunObserver(EvaluationObserver):
         return self._stop.is_set()
 
     def in_request(self, evaluation: GraspEvaluation) -> GraspEvaluation:
-        """Return an evaluation with the index and the id that its grasp has in the request."""
-        return dataclasses.replace(evaluation, **self._identities[evaluation.grasp_index])
+        """Return an evaluation with the index and the id that its grasp has in the request.
+
+        One that ended early gets code and reason of what ended the run.
+        """
+        evaluation = dataclasses.replace(evaluation, **self._identities[evaluation.grasp_index])
+        if evaluation.code == ResultCode.CANCELED:
+            text = f"{evaluation.message}: {self._stop.reason}"
+            evaluation = dataclasses.replace(evaluation, code=self._stop.code, message=text)
+        return evaluation
 
     def send_evaluation(self, evaluation: GraspEvaluation) -> None:
         """Publish an evaluation that has its index in the request; the log gets it with its fields over the mesh."""
-        self._outputs.publish(EVALUATIONS, self.message(evaluation, with_fields=False))
-        self._outputs.log(EVALUATIONS, self.message(evaluation), self._time(evaluation.end_time))
+        without_fields = self.message(evaluation, with_fields=False)
+        self._outputs.publish(EVALUATIONS, without_fields)
+        message = self.messages[evaluation.grasp_index] = self.message(evaluation)
+        self._outputs.log(EVALUATIONS, message, self._time(evaluation.end_time))
+        self._status.finished(without_fields)
 
     def message(self, evaluation: GraspEvaluation, *, with_fields: bool = True) -> msg.GraspEvaluation:
         """Return the message of an evaluation, stamped with the time at which it ended."""

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from defgrasp_interfaces.msg import ContactState, EvaluationRequest, EvaluatorStatus, GraspEvaluation
 from geometry_msgs.msg import WrenchStamped
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
@@ -81,6 +82,13 @@ PUBLISHED = (STATUS, EVALUATIONS, ROBOT_DESCRIPTION, *SAMPLED)
 LOGGED = (*PUBLISHED, REQUEST)
 
 
+EVERY_FEEDBACK = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+"""Of the feedback of the action: many grasps may end at the same instant."""
+
+STATUS_LEASE = Duration(seconds=3.0)
+"""A process that does not vouch for its status for so long is dead."""
+
+
 def qos_profile(topic: Topic) -> QoSProfile:
     """Return the quality of service with which a topic is published."""
     return QoSProfile(
@@ -88,6 +96,8 @@ def qos_profile(topic: Topic) -> QoSProfile:
         depth=topic.depth,
         reliability=ReliabilityPolicy.RELIABLE if topic.reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE,
+        liveliness=LivelinessPolicy.AUTOMATIC,
+        liveliness_lease_duration=STATUS_LEASE if topic is STATUS else Duration(),
     )
 
 
