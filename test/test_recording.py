@@ -36,7 +36,7 @@ from sensor_msgs.msg import JointState  # noqa: E402
 from shape_msgs.msg import MeshTriangle  # noqa: E402
 
 from defgrasp_ros.recording import RunLog, Topic, read_log  # noqa: E402
-from defgrasp_ros.recording.run_log import FLUSH_INTERVAL  # noqa: E402
+from defgrasp_ros.recording.bag_writer import FLUSH_INTERVAL  # noqa: E402
 
 TOPICS = (
     Topic("/evaluator/request", EvaluationRequest, depth=1, latched=True),
@@ -164,7 +164,7 @@ def test_bag_metadata_counts_the_messages(tmp_path: Path) -> None:
 
 def test_file_cut_at_any_byte_is_readable_up_to_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever is left of a file, its reader returns the first messages, and a longer rest never has fewer."""
-    monkeypatch.setattr("defgrasp_ros.recording.run_log.FLUSH_INTERVAL", 0.0)  # a chunk for each message
+    monkeypatch.setattr("defgrasp_ros.recording.bag_writer.FLUSH_INTERVAL", 0.0)  # a chunk for each message
     messages = example_messages()
     log = RunLog(tmp_path, "run", TOPICS, {"device": "cpu"})
     for topic, message in messages:
@@ -233,9 +233,10 @@ def test_full_disk_is_a_recording_error_and_leaves_a_readable_log(tmp_path: Path
         with pytest.raises(RecordingError, match="cannot write the log"):
             for _ in range(100):
                 log.write("/evaluator/status", noise, publish_time=0)
-        with pytest.raises(RecordingError, match="closed"):
-            log.write("/evaluator/status", noise, publish_time=0)
-        log.close()
+            log.close()
+        for again in (lambda: log.write("/evaluator/status", noise, publish_time=0), log.close):
+            with pytest.raises(RecordingError, match="cannot write the log"):
+                again()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, soft_and_hard)
     assert len(read_log(log.path).on("request")) == 1

@@ -18,10 +18,16 @@ from defgrasp_ros.evaluation import EvaluationOptions, GraspEvaluation
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper, load_gripper
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.recording import provenance
+from defgrasp_ros.recording import provenance, run_attachments
 from defgrasp_ros.ros.object_registry import ObjectRegistry
 from defgrasp_ros.ros.outputs import Outputs
-from defgrasp_ros.ros.parameters import experiment_defaults, log_directory, mesh_directories
+from defgrasp_ros.ros.parameters import (
+    experiment_defaults,
+    log_directory,
+    logged_topics,
+    max_log_size,
+    mesh_directories,
+)
 from defgrasp_ros.ros.request_conversion import grasp_from_message, object_from_message, options_from_message
 from defgrasp_ros.ros.run_observer import RunObserver
 from defgrasp_ros.ros.status_reporter import StatusReporter
@@ -84,8 +90,7 @@ class EvaluationRun:
             f"{len(request.grasps)} grasps on {self._parameters['device']}"
         )
         if request.options.record and self._parameters["record.enabled"]:
-            origin = provenance(self._parameters["device"], self._parameters)
-            self._outputs.start_log(log_directory(self._parameters), self.id, origin)
+            self._start_log(object_model, gripper)
         try:
             evaluations = self._simulate(request, object_model, grasps, gripper, options)
         finally:
@@ -95,6 +100,17 @@ class EvaluationRun:
             result=self._result(evaluations, problem),
             evaluations=evaluations,
             log_uri=log_path.as_uri() if log_path else "",
+        )
+
+    def _start_log(self, object_model: ObjectModel, gripper: Gripper) -> None:
+        mesh, parameters = object_model.mesh, self._parameters
+        self._outputs.start_log(
+            log_directory(parameters),
+            self.id,
+            provenance(parameters["device"], parameters, gripper, mesh.element_order),
+            run_attachments(mesh, gripper),
+            topics=logged_topics(parameters),
+            max_size=max_log_size(parameters),
         )
 
     def _simulate(
@@ -130,7 +146,7 @@ class EvaluationRun:
         counts = ", ".join(f"{count} {name}" for name, count in codes.most_common())
         message = f"{len(evaluations)} grasps: {counts}"
         if recording_problem:
-            message += f"; not logged: {recording_problem}"
+            message += f"; {recording_problem}"
         canceled = codes[ResultCode.CANCELED.name] > 0
         return msg.Result(code=ResultCode.CANCELED if canceled else ResultCode.OK, message=message)
 

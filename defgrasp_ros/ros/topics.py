@@ -32,6 +32,11 @@ def qos_profile(topic: Topic) -> QoSProfile:
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=topic.depth,
-        reliability=ReliabilityPolicy.RELIABLE,
+        reliability=ReliabilityPolicy.RELIABLE if topic.reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE,
     )
+
+
+def relative_name(topic: Topic) -> str:
+    """Return the name without what makes it private or absolute, e.g. ``joint_states``."""
+    return topic.name.lstrip("~/")
