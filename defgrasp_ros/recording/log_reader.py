@@ -14,7 +14,7 @@ import yaml
 from mcap.exceptions import EndOfFile, InvalidMagic, McapError
 from mcap.records import Attachment as AttachmentRecord
 from mcap.records import Channel, Footer, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import CRCValidationError, StreamReader
+from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 from mcap_ros2.decoder import DecoderFactory
 from zstandard import ZstdError
@@ -25,6 +25,9 @@ from defgrasp_ros.recording.bag_writer import METADATA_NAME, STATISTICS_NAME
 
 RECORD_HEAD = struct.Struct("<BQ")
 """Every MCAP record begins with its kind and the length of what follows."""
+
+DAMAGE = (McapError, ZstdError, ValueError, KeyError, struct.error)
+"""What the format's reader raises when bytes are not what they should be; a wrong check sum is a ValueError."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +90,34 @@ class LogReader:
         """Whether the log was closed; otherwise it holds what was written until its writer died."""
 
     def __iter__(self) -> Iterator[RawMessage]:
+        try:
+            with open(self.path, "rb") as stream, suppress(EndOfFile):  # the end of a log that was not closed
+                records = CompleteRecords(stream)
+                yield from self._messages(StreamReader(records, skip_magic=True, validate_crcs=True).records)
+        except OSError as error:
+            raise RecordingError(f"cannot read the log {self.path}: {error.strerror}") from error
+        except DAMAGE as error:
+            raise RecordingError(f"{self.path} is damaged, or no MCAP file: {error}") from error
+
+    def decode(self, message: RawMessage) -> Any:
+        """Return the message with the fields of its definition in the log as attributes.
+
+        Raises:
+            RecordingError: If it is no ROS 2 message.
+        """
+        decode = self._decoders.decoder_for(message.topic.encoding, message.topic.schema)
+        if decode is None:
+            raise RecordingError(f"{self.path}: topic {message.topic.name} has no ROS 2 messages")
+        return decode(message.data)
+
+    @cached_property
+    def _decoders(self) -> DecoderFactory:
+        return DecoderFactory()
+
+    def _messages(self, records: Iterator[McapRecord]) -> Iterator[RawMessage]:
         schemas: dict[int, Schema] = {}
         topics: dict[int, LoggedTopic] = {}
-        for record in self._records():
+        for record in records:
             match record:
                 case Schema():
                     schemas[record.id] = record
@@ -107,31 +135,6 @@ class LogReader:
                     yield RawMessage(topic, record.log_time, record.publish_time, record.data)
                 case Footer():
                     self.complete = True
-
-    def decode(self, message: RawMessage) -> Any:
-        """Return the message with the fields of its definition in the log as attributes.
-
-        Raises:
-            RecordingError: If it is no ROS 2 message.
-        """
-        decode = self._decoders.decoder_for(message.topic.encoding, message.topic.schema)
-        if decode is None:
-            raise RecordingError(f"{self.path}: topic {message.topic.name} has no ROS 2 messages")
-        return decode(message.data)
-
-    @cached_property
-    def _decoders(self) -> DecoderFactory:
-        return DecoderFactory()
-
-    def _records(self) -> Iterator[McapRecord]:
-        try:
-            with open(self.path, "rb") as stream, suppress(EndOfFile):  # the end of a log that was not closed
-                records = CompleteRecords(stream)
-                yield from StreamReader(records, skip_magic=True, validate_crcs=True).records
-        except OSError as error:
-            raise RecordingError(f"cannot read the log {self.path}: {error.strerror}") from error
-        except (McapError, CRCValidationError, ZstdError) as error:
-            raise RecordingError(f"{self.path} is damaged, or no MCAP file: {error}") from error
 
 
 class CompleteRecords:
