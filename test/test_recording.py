@@ -326,6 +326,7 @@ def test_log_never_exceeds_its_largest_size(tmp_path: Path, noise: bool) -> None
     with pytest.raises(RecordingError, match="largest size, 0.3 MB"):
         for _ in range(100_000):
             log.write("/evaluator/status", EvaluatorStatus(run_id=os.urandom(500 * noise).hex()), publish_time=0)
+    with pytest.raises(RecordingError, match="largest size, 0.3 MB"):
         log.close()
     size = log.path.stat().st_size
     assert 0.7 * max_size < size <= max_size

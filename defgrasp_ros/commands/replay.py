@@ -29,7 +29,9 @@ def replay(
     ] = None,
     clock: Annotated[bool, typer.Option("--clock", help="Publish the log time on /clock, too")] = False,
     pause: Annotated[bool, typer.Option("--pause", help="Begin paused; the space bar goes on, and pauses")] = False,
-    delay: Annotated[float, typer.Option(help="How long to look for subscribers before the first message [s]")] = 1.0,
+    wait: Annotated[
+        float, typer.Option(help="How long to look for the first subscriber before the first message, at most [s]")
+    ] = 4.0,
 ) -> None:
     """Publish the messages of LOG again: same topics, same quality of service, same rhythm.
 
@@ -37,8 +39,8 @@ def replay(
     """
     if not rate > 0.0:
         raise InvalidOptionsError(f"--rate = {rate:g} is not above 0")
-    if not delay >= 0.0:
-        raise InvalidOptionsError(f"--delay = {delay:g} s is not 0 or more")
+    if not wait >= 0.0:
+        raise InvalidOptionsError(f"--wait = {wait:g} s is not 0 or more")
     if pause and not sys.stdin.isatty():
         raise InvalidOptionsError("--pause needs a terminal, whose space bar lets the replay go on")
 
@@ -61,7 +63,7 @@ def replay(
         columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[time]}"))
         with Progress(*columns, console=console, transient=True) as bar, on_key(" ", timer.toggle_pause):
             task = bar.add_task("looking for subscribers", total=summary.duration, time="")
-            player.wait_for_subscribers(delay)
+            player.wait_for_subscribers(wait)
 
             def show(position: int) -> None:
                 passed = (position - summary.start_time) * SECOND

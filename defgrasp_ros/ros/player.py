@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -28,8 +28,11 @@ CLOCK = Topic("/clock", Clock, depth=1, reliable=False)
 CLOCK_INTERVAL = 0.025
 """Wall time between two messages on ``/clock`` [s]."""
 
-MATCHING_TIME = 2.0
-"""How long subscribers that were found may take to be connected [s]."""
+SETTLING_TIME = 0.5
+"""When no further subscriber was found for so long, all are taken to be there [s]."""
+
+OVERTAKING_TIME = 0.2
+"""How long a message may wait until the one that it would replace in a publisher's history has been received [s]."""
 
 ACKNOWLEDGE_TIME = 5.0
 """How long subscribers may take at the end to receive what is still under way [s]."""
@@ -60,6 +63,7 @@ class Player:
         self._log = log
         self._publishers: dict[str, Publisher] = {}
         self._depths: dict[str, int] = {}
+        self._sent: Counter[str] = Counter()
         self._clock = node.create_publisher(Clock, CLOCK.name, qos_profile(CLOCK)) if with_clock else None
         self._last_clock = 0.0
         for topic in self._chosen(topics):
@@ -72,16 +76,21 @@ class Player:
         if not self._publishers:
             raise RecordingError("; ".join([f"{log} has nothing that can be replayed here", *self.left_out]))
 
-    def wait_for_subscribers(self, delay: float) -> None:
-        """Wait until subscribers that are there can receive.
+    def wait_for_subscribers(self, longest: float) -> None:
+        """Wait until subscribers that are there can receive: until some are connected, and no more come.
 
         Args:
-            delay: How long to look for them [s].
+            longest: How long to look for them [s]; they can take 3 s to answer.
         """
-        time.sleep(delay)
-        end = time.monotonic() + MATCHING_TIME
-        while time.monotonic() < end and not self._is_connected():
-            time.sleep(0.01)
+        end = time.monotonic() + longest
+        found, since = self._connections(), time.monotonic()
+        while (now := time.monotonic()) < end:
+            if (present := self._connections()) != found:
+                found, since = present, now
+            is_connected = any(found) and all(connected >= there for there, connected in found)
+            if is_connected and now - since >= SETTLING_TIME:
+                return
+            time.sleep(0.02)
 
     def play(self, timer: PlaybackTimer, start: int, on_position: Callable[[int], None]) -> int:
         """Publish from log time ``start`` [ns] to the end.
@@ -105,7 +114,7 @@ class Player:
         timer.restart(start)
         for message in self._from(start):
             timer.wait_until(message.log_time, on_tick)
-            self._publishers[message.topic.name].publish(message.data)
+            self._publish(message)
             count += 1
             on_position(message.log_time)
         return count
@@ -114,6 +123,16 @@ class Player:
         """Wait until everything has been received by those who are there."""
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_TIME))
+
+    def _publish(self, message: RawMessage) -> None:
+        """Publish when no message that somebody still waits for is lost by it; the log holds bursts, too."""
+        name = message.topic.name
+        publisher = self._publishers[name]
+        if self._sent[name] >= publisher.qos_profile.depth:
+            publisher.wait_for_all_acked(Duration(seconds=OVERTAKING_TIME))
+            self._sent[name] = 0
+        publisher.publish(message.data)
+        self._sent[name] += 1
 
     def _chosen(self, names: Sequence[str]) -> list[LoggedTopic]:
         topics = self.summary.topics
@@ -128,11 +147,13 @@ class Player:
         if topic.latched:
             self._depths[topic.name] = topic.depth
 
-    def _is_connected(self) -> bool:
-        publishers = self._publishers.items()
-        return all(
-            publisher.get_subscription_count() >= self._node.count_subscribers(name) for name, publisher in publishers
-        )
+    def _connections(self) -> list[tuple[int, int]]:
+        """For each topic with subscribers how many are known, and how many of them can receive."""
+        numbers = [
+            (self._node.count_subscribers(name), publisher.get_subscription_count())
+            for name, publisher in self._publishers.items()
+        ]
+        return [number for number in numbers if any(number)]
 
     def _from(self, start: int) -> Iterator[RawMessage]:
         """The messages to be published, first the latched ones from before the start."""
