@@ -17,12 +17,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from defgrasp_ros.checks import interval
-from defgrasp_ros.errors import DefgraspError
+from defgrasp_ros.errors import DefgraspError, InvalidOptionsError
 from defgrasp_ros.evaluation import ALL_EXPERIMENTS, EvaluationObserver, EvaluationOptions, Experiment, in_order
 from defgrasp_ros.gripper import DEFAULT_GRIPPER, load_gripper
 from defgrasp_ros.mesh.tetrahedralize import MAX_TETRAHEDRA
 from defgrasp_ros.option import options_of
 from defgrasp_ros.presets import load_preset
+from defgrasp_ros.ros.topics import LOGGED, relative_name
 
 EXPERIMENT = "experiment."
 """Prefix of the parameters that stand in for options left 0 in a request."""
@@ -145,6 +146,18 @@ NODE_PARAMETERS = (
     Parameter("record.enabled", True, "Whether runs are logged; a request can ask for no log of its own run"),
     Parameter("record.directory", "", "Folder of the logs; empty: $ROS_HOME/defgrasp, or ~/.ros/defgrasp"),
     Parameter(
+        "record.topics",
+        "",
+        "What is logged beside the request: names of topics with ',' between them, as status,evaluations; empty: all.",
+    ),
+    Parameter(
+        "record.max_size",
+        0.0,
+        "Size at which a log ends, while the run goes on; 0: no limit",
+        "MB",
+        range=(0.0, 1e6),
+    ),
+    Parameter(
         "preset",
         "paper",
         "Where the experiment.* that are not given come from: a name in config/presets, or a .yaml file",
@@ -191,6 +204,25 @@ def log_directory(values: dict) -> Path:
     return Path(values["record.directory"] or f"{ros_home}/defgrasp").expanduser()
 
 
+def logged_topics(values: dict) -> list[str]:
+    """Return the relative names of the topics that are logged; empty: all.
+
+    Raises:
+        InvalidOptionsError: If there is no topic of such a name.
+    """
+    names = [name.strip().lstrip("~/") for name in values["record.topics"].split(",") if name.strip()]
+    known = [relative_name(topic) for topic in LOGGED]
+    for name in names:
+        if name not in known:
+            raise InvalidOptionsError(f"record.topics: there is no topic '{name}'; known: {', '.join(known)}")
+    return names
+
+
+def max_log_size(values: dict) -> int:
+    """Return the size that a log does not exceed [B]; 0: no limit."""
+    return round(values["record.max_size"] * 1e6)
+
+
 def parameters_yaml() -> str:
     """Return the table as a parameter file with every default; the preset decides about what it leaves out."""
     lines = [
@@ -226,6 +258,8 @@ def _check(parameters: list[RosParameter]) -> SetParametersResult:
                 load_gripper(parameter.value)
             elif parameter.name == "preset":
                 load_preset(parameter.value)
+            elif parameter.name == "record.topics":
+                logged_topics({parameter.name: parameter.value})
             elif parameter.name.startswith(EXPERIMENT):
                 experiment_defaults({parameter.name: parameter.value})
         except DefgraspError as error:

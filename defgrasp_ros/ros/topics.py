@@ -101,6 +101,11 @@ def qos_profile(topic: Topic) -> QoSProfile:
     )
 
 
+def relative_name(topic: Topic) -> str:
+    """Return the name without what makes it private or absolute, e.g. ``joint_states``."""
+    return topic.name.lstrip("~/")
+
+
 def topics_table() -> str:
     """Return every topic as a Markdown table."""
     lines = ["| Topic | Type | What | Quality of service |", "| --- | --- | --- | --- |"]
