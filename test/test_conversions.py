@@ -140,7 +140,7 @@ def test_options_survive_the_message_and_zero_takes_the_default() -> None:
     options = EvaluationOptions(**doubled, experiments={"squeeze", "linear_acceleration"})
     assert options_from_message(options_to_message(options), EvaluationOptions()) == options
     only_hold = msg.ExperimentOptions(pickup_hold_time=1.0)
-    expected = dataclasses.replace(options, pickup_hold_time=1.0, reorientation_settles=True, return_fields=False)
+    expected = dataclasses.replace(options, pickup_hold_time=1.0, return_fields=False)
     assert options_from_message(only_hold, options) == expected
 
 

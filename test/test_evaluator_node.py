@@ -135,6 +135,19 @@ def test_failure_in_the_middle_leaves_what_is_finished(node: EvaluatorNode, monk
     assert "step 3 has no solution" in answer.evaluations[1].message and "step 3" in answer.message
 
 
+def test_error_of_the_callers_function_is_the_callers(node: EvaluatorNode) -> None:
+    """What ``on_evaluation`` raises comes out of the call, and the client goes on working."""
+
+    def complain(_: GraspEvaluation) -> None:
+        raise KeyError("mine")
+
+    grasp = Grasp(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    with GraspEvaluatorClient() as client:
+        with pytest.raises(KeyError, match="mine"):
+            client.evaluate_grasps(BLOCK, Material(), [grasp], on_evaluation=complain, timeout=60.0)
+        assert client.evaluate_grasps(BLOCK, Material(), [grasp], timeout=60.0).code == ResultCode.OK
+
+
 def test_log_that_cannot_be_written_does_not_stop_the_evaluation(node: EvaluatorNode, tmp_path: Path) -> None:
     """The grasp is evaluated, and the text says why there is no log; the next run is logged again."""
     (tmp_path / "file").touch()
