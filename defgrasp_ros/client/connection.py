@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from threading import Condition, Thread
+from collections.abc import Callable
+from threading import Condition, Thread, current_thread
 from typing import Any
 
 import rclpy
@@ -117,6 +118,18 @@ class Connection:
         except BaseException:
             service.remove_pending_request(future)
             raise
+
+    def in_spinner(self, call: Callable[..., Any], *arguments: Any) -> Any:
+        """Return what a call returns that is done by the thread which takes the answers.
+
+        rclpy's action client loses an answer that is there before the call which asked for it has returned.
+
+        Raises:
+            EvaluatorGoneError: If the evaluator has ended.
+        """
+        if current_thread() is self._spinner:
+            return call(*arguments)
+        return self.wait(self._executor.create_task(call, *arguments), self.action_name, None)
 
     def wait(self, future: Future, what: str, timeout: float | None) -> Any:
         """Wait for the result of a future.

@@ -149,11 +149,12 @@ class GraspEvaluatorClient:
         )
         connection = self._connected()
         reports = GoalReports(on_progress, on_evaluation)
-        accepted = connection.action.send_goal_async(EvaluateGrasps.Goal(request=request), reports.take)
+        goal = EvaluateGrasps.Goal(request=request)
+        accepted = connection.in_spinner(connection.action.send_goal_async, goal, reports.take)
         handle = connection.wait(accepted, connection.action_name, None)
         if not handle.accepted:
             raise self._rejection()
-        return EvaluationGoal(connection, handle)
+        return EvaluationGoal(connection, handle, reports)
 
     def call(self, request: EvaluationRequest, timeout: float | None = None) -> EvaluateGrasp.Response:
         """Send a request message to the service as it is, and return the answer as it comes, also a refusal.

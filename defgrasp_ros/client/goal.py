@@ -29,10 +29,18 @@ class GoalReports:
     ) -> None:
         self._on_progress = on_progress
         self._on_evaluation = on_evaluation
+        self.error: Exception | None = None
+        """What one of the functions raised; they are then called no more."""
 
     def take(self, message: EvaluateGrasps.Impl.FeedbackMessage) -> None:
         """Take a feedback."""
-        feedback: EvaluateGrasps.Feedback = message.feedback
+        if self.error is None:
+            try:
+                self._hand_on(message.feedback)
+            except Exception as error:  # must not end the thread that takes the answers
+                self.error = error
+
+    def _hand_on(self, feedback: EvaluateGrasps.Feedback) -> None:
         if self._on_evaluation:
             for evaluation in feedback.finished:
                 self._on_evaluation(evaluation_from_message(evaluation))
@@ -43,10 +51,11 @@ class GoalReports:
 class EvaluationGoal:
     """An evaluation under way; made by ``GraspEvaluatorClient.start_evaluation``."""
 
-    def __init__(self, connection: Connection, handle: ClientGoalHandle) -> None:
+    def __init__(self, connection: Connection, handle: ClientGoalHandle, reports: GoalReports) -> None:
         self._connection = connection
         self._handle = handle
-        self._result: Future = handle.get_result_async()
+        self._reports = reports
+        self._result: Future = connection.in_spinner(handle.get_result_async)
 
     @property
     def done(self) -> bool:
@@ -55,7 +64,7 @@ class EvaluationGoal:
 
     def cancel(self) -> None:
         """Ask the evaluator to end; the answer then comes soon, with what is finished, the rest CANCELED."""
-        self._handle.cancel_goal_async()
+        self._connection.in_spinner(self._handle.cancel_goal_async)
 
     def answer(self, timeout: float | None = None) -> EvaluationAnswer:
         """Wait for the answer.
@@ -67,6 +76,9 @@ class EvaluationGoal:
             EvaluatorGoneError: If the evaluator ends before it answers.
             TimeoutError: If the time is up; the evaluator goes on.
             DefgraspError: If the request is refused: the class of ``defgrasp_ros.errors`` with the evaluator's code.
+            Exception: What ``on_progress`` or ``on_evaluation`` raised, when the goal has ended.
         """
         response = self._connection.wait(self._result, self._connection.action_name, timeout)
+        if self._reports.error:
+            raise self._reports.error
         return answer_from_message(response.result)

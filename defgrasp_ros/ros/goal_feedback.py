@@ -10,14 +10,14 @@ from defgrasp_interfaces.action import EvaluateGrasps
 from defgrasp_interfaces.msg import EvaluatorStatus, GraspEvaluation
 
 FEEDBACK_INTERVAL = 0.2
-"""Least wall time between two feedbacks of which the second brings no evaluation [s]."""
+"""Least wall time between two feedbacks of which the second only says that a phase goes on [s]."""
 
 LEAST_PROGRESS = 0.01
 """Progress from which on the remaining time is extrapolated [-]."""
 
 
 class GoalFeedback:
-    """Follows the status: at once where a grasp has its evaluation, else a few times a second.
+    """Follows the status: at once where a phase begins or a grasp has its evaluation, else a few times a second.
 
     A goal that waits hears how far the one before it is.
 
@@ -30,13 +30,16 @@ class GoalFeedback:
         self._is_running = False
         self._simulated_since: float | None = None
         self._last = 0.0
+        self._doing = ("", 0, 0)
 
     def start(self) -> None:
         """It is the goal's turn."""
         self._is_running = True
 
     def on_status(self, status: EvaluatorStatus) -> None:
-        if time.monotonic() - self._last >= FEEDBACK_INTERVAL:
+        doing = (status.run_id, status.state, status.phase)
+        if doing != self._doing or time.monotonic() - self._last >= FEEDBACK_INTERVAL:
+            self._doing = doing
             self._send_now(status, [])
 
     def on_evaluation(self, status: EvaluatorStatus, evaluation: GraspEvaluation) -> None:
