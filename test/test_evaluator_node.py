@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from threading import Thread
@@ -164,13 +165,13 @@ def test_log_that_cannot_be_written_does_not_stop_the_evaluation(node: Evaluator
 
 def test_log_that_reaches_its_size_ends_and_the_evaluation_goes_on(node: EvaluatorNode, tmp_path: Path) -> None:
     """The grasp is evaluated, the text tells the limit, and what is in the log can be read."""
-    set_parameter(node, "record.max_size", 0.04)
-    answer = ask()
+    set_parameter(node, "record.max_size", 0.3)
+    answer = ask(object_name=os.urandom(300_000).hex())
     assert answer.code == ResultCode.OK
     assert "the log is not complete" in answer.message
-    assert "largest size, 0.04 MB" in answer.message
+    assert "largest size, 0.3 MB" in answer.message
     (log,) = tmp_path.glob("logs/*/*.mcap")
-    assert log.stat().st_size <= 40_000
+    assert log.stat().st_size <= 300_000
     assert read_log(log).complete
     set_parameter(node, "record.max_size", 0.0)
     assert "not complete" not in ask().message

@@ -291,15 +291,17 @@ def test_space_bar_pauses_and_goes_on(small_log: Path, collector: subprocess.Pop
     """A replay that begins paused publishes nothing until the space bar is pressed in its terminal."""
     terminal, stdin = pty.openpty()
     command = [sys.executable, "-m", "defgrasp_ros.cli", "replay", str(small_log), "--pause", "--rate", "20"]
-    with subprocess.Popen([*command, "--wait", "0"], stdin=stdin, stderr=subprocess.PIPE, text=True) as replay:
-        assert replay.stderr is not None and replay.stderr.readline()
-        with pytest.raises(subprocess.TimeoutExpired):
-            replay.wait(3.0)
-        os.write(terminal, b"x")
-        pressed = time.monotonic()
-        os.write(terminal, b" ")
-        heard = heard_until(collector, "description end")
-        assert replay.wait(TIMEOUT) == 0
+    with subprocess.Popen([*command, "--wait", "0"], stdin=stdin) as replay:
+        try:
+            with pytest.raises(subprocess.TimeoutExpired):
+                replay.wait(5.0)
+            os.write(terminal, b"x")
+            pressed = time.monotonic()
+            os.write(terminal, b" ")
+            assert replay.wait(TIMEOUT) == 0
+        finally:
+            replay.kill()
+    heard = heard_until(collector, "description end")
     os.close(stdin)
     os.close(terminal)
     assert heard[0][1] == "description gripper"

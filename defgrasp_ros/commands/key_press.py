@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import select
 import sys
 import termios
@@ -20,20 +21,25 @@ def on_key(key: str, action: Callable[[], None]) -> Iterator[None]:
     if not sys.stdin.isatty():
         yield
         return
-    before = termios.tcgetattr(sys.stdin)
+    keyboard = sys.stdin.fileno()
+    before = termios.tcgetattr(keyboard)
     ended = Event()
 
     def listen() -> None:
         while not ended.is_set():
-            if select.select([sys.stdin], [], [], POLL_INTERVAL)[0] and sys.stdin.read(1) == key:
-                action()
+            if select.select([keyboard], [], [], POLL_INTERVAL)[0]:
+                pressed = os.read(keyboard, 64)
+                for _ in range(pressed.count(key.encode())):
+                    action()
+                if not pressed:  # the terminal is gone
+                    return
 
     listener = Thread(target=listen, name="keyboard", daemon=True)
-    tty.setcbreak(sys.stdin)
+    tty.setcbreak(keyboard)
     listener.start()
     try:
         yield
     finally:
         ended.set()
         listener.join()
-        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+        termios.tcsetattr(keyboard, termios.TCSADRAIN, before)
