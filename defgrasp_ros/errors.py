@@ -57,8 +57,14 @@ class NotFoundError(DefgraspError):
     code = ResultCode.NOT_FOUND
 
 
+class IncorrectStateError(DefgraspError):
+    """What is asked for cannot be done in the present state."""
+
+    code = ResultCode.INCORRECT_STATE
+
+
 class ResourceExhaustedError(DefgraspError):
-    """The machine has not enough memory for what is asked."""
+    """No room for more: in the queue, in memory or on the disk."""
 
     code = ResultCode.RESOURCE_EXHAUSTED
 
