@@ -55,7 +55,7 @@ def _defgrasp() -> None:
     """Simulate how grasps of a deformable object turn out, and show how right that is."""
 
 
-@app.command()
+@app.command(epilog="Example: defgrasp evaluate banana --grasps grasps.json --experiments all --output results")
 @with_constants
 def evaluate(
     object: ObjectArgument,
