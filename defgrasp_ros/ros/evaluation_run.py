@@ -90,7 +90,7 @@ class EvaluationRun:
             f"{len(request.grasps)} grasps on {self._parameters['device']}"
         )
         if request.options.record and self._parameters["record.enabled"]:
-            self._start_log(object_model, gripper)
+            self._start_log(object_model, gripper, options)
         try:
             evaluations = self._simulate(request, object_model, grasps, gripper, options)
         finally:
@@ -102,12 +102,12 @@ class EvaluationRun:
             log_uri=log_path.as_uri() if log_path else "",
         )
 
-    def _start_log(self, object_model: ObjectModel, gripper: Gripper) -> None:
+    def _start_log(self, object_model: ObjectModel, gripper: Gripper, options: EvaluationOptions) -> None:
         mesh, parameters = object_model.mesh, self._parameters
         self._outputs.start_log(
             log_directory(parameters),
             self.id,
-            provenance(parameters["device"], parameters, gripper, mesh.element_order),
+            provenance(parameters["device"], parameters, gripper, options, mesh.element_order),
             run_attachments(mesh, gripper),
             topics=logged_topics(parameters),
             max_size=max_log_size(parameters),
