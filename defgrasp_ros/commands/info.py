@@ -21,7 +21,7 @@ LogArgument = Annotated[
     Path, typer.Argument(metavar="LOG", help="Bag folder of a run, or the .mcap file in it", show_default=False)
 ]
 
-LONG_FACTS = ("parameters", "gripper")
+LONG_FACTS = ("parameters", "gripper", "options")
 """Facts of a run that are documents of their own; --json has them."""
 
 

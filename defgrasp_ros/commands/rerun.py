@@ -27,7 +27,7 @@ def rerun(
         bool, typer.Option("--json", help="Print one JSON document on standard output, and nothing else")
     ] = False,
 ) -> None:
-    """Repeat the run of LOG with mesh, gripper, parameters and request in it, and report what differs.
+    """Repeat the run of LOG with the mesh, gripper, options and grasps in it, and report what differs.
 
     Exit status 1 if a grasp has another outcome. Grasps that the log has no result for, or that were canceled there,
     are evaluated, but not compared.
@@ -40,7 +40,7 @@ def rerun(
     console = Console(stderr=True)
     run = read_run(log)
     device = device or run.device
-    now = provenance(device, {}, run.gripper)
+    now = provenance(device, {}, run.gripper, run.options)
     for name, value in run.provenance.items():
         if name in now and name.startswith(("version.", "git_", "device")) and value != now[name]:
             console.print(f"{name}: recorded {value or '-'}, now {now[name] or '-'}", highlight=False, soft_wrap=True)

@@ -13,6 +13,7 @@ from pathlib import Path
 import yaml
 
 from defgrasp_ros.configuration import PACKAGE_NAME
+from defgrasp_ros.evaluation import EvaluationOptions, in_order
 from defgrasp_ros.gripper import Gripper
 
 PACKAGES = (PACKAGE_NAME, "warp-lang", "numpy", "scipy", "mcap")
@@ -22,16 +23,22 @@ GIT_TIME_LIMIT = 5.0
 
 
 def provenance(
-    device: str, parameters: Mapping[str, object], gripper: Gripper, element_order: int = 1
+    device: str,
+    parameters: Mapping[str, object],
+    gripper: Gripper,
+    options: EvaluationOptions,
+    element_order: int = 1,
 ) -> dict[str, str]:
-    """Return versions, device, parameters and gripper as text.
+    """Return versions, device, parameters, gripper and options as text.
 
     Args:
         device: Where the simulation runs, e.g. ``cuda:0``.
         parameters: Names and values, kept as YAML.
         gripper: What was used; its values are kept as YAML.
+        options: What is done with each grasp, request, preset and parameters taken together; kept as YAML.
         element_order: Of the object's mesh, whose file has the corners of the elements alone.
     """
+    experiments = [str(experiment) for experiment in in_order(options.experiments)]
     versions = {f"version.{name}": _version(name) for name in PACKAGES}
     return {
         **versions,
@@ -42,6 +49,7 @@ def provenance(
         "element_order": str(element_order),
         "parameters": yaml.safe_dump(dict(parameters), sort_keys=False),
         "gripper": yaml.safe_dump(dataclasses.asdict(gripper), sort_keys=False),
+        "options": yaml.safe_dump({**dataclasses.asdict(options), "experiments": experiments}, sort_keys=False),
     }
 
 

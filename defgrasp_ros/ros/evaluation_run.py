@@ -114,7 +114,7 @@ class EvaluationRun:
             f"{len(request.grasps)} grasps on {self._parameters['device']}"
         )
         if request.options.record and self._parameters["record.enabled"]:
-            self._start_log(object_model, gripper)
+            self._start_log(object_model, gripper, options)
         try:
             response = self._simulate(request, object_model, grasps, gripper, options)
         finally:
@@ -125,12 +125,12 @@ class EvaluationRun:
             response.result.message += f"; {self.recording_problem}"
         return response
 
-    def _start_log(self, object_model: ObjectModel, gripper: Gripper) -> None:
+    def _start_log(self, object_model: ObjectModel, gripper: Gripper, options: EvaluationOptions) -> None:
         mesh, parameters = object_model.mesh, self._parameters
         self._outputs.start_log(
             log_directory(parameters),
             self.id,
-            provenance(parameters["device"], parameters, gripper, mesh.element_order),
+            provenance(parameters["device"], parameters, gripper, options, mesh.element_order),
             run_attachments(mesh, gripper),
             topics=logged_topics(parameters),
             max_size=max_log_size(parameters),

@@ -18,8 +18,7 @@ from defgrasp_ros.recording import LoggedRun, read_log
 from defgrasp_ros.recording.attachments import MESH_FILE
 from defgrasp_ros.ros.evaluation_run import CheckedGrasps, check_grasps
 from defgrasp_ros.ros.fields import extract
-from defgrasp_ros.ros.parameters import experiment_defaults
-from defgrasp_ros.ros.request_conversion import material_from_message, options_from_message
+from defgrasp_ros.ros.request_conversion import material_from_message
 from defgrasp_ros.ros.topics import EVALUATIONS, REQUEST, relative_name
 
 
@@ -47,7 +46,7 @@ def read_run(log: Path) -> RepeatableRun:
     """
     run = read_log(log, relative_name(REQUEST), relative_name(EVALUATIONS))
     requests = run.on(relative_name(REQUEST))
-    if len(requests) != 1 or MESH_FILE not in run.attachments or "gripper" not in run.provenance:
+    if len(requests) != 1 or MESH_FILE not in run.attachments or "options" not in run.provenance:
         raise RecordingError(f"{run.path} has no request with mesh and gripper, so the run cannot be repeated")
     try:
         return _repeatable(run, requests[0])
@@ -78,7 +77,7 @@ def _repeatable(run: LoggedRun, request: object) -> RepeatableRun:
         object_model=ObjectModel(request.object.name, mesh, material_from_message(request.object.material)),
         grasps=check_grasps(request.grasps, parameters["max_grasps"]),
         gripper=gripper_from_values(yaml.safe_load(run.provenance["gripper"])),
-        options=options_from_message(request.options, experiment_defaults(parameters)),
+        options=EvaluationOptions(**yaml.safe_load(run.provenance["options"])),
         device=run.provenance["device"],
         provenance=run.provenance,
         recorded=recorded,
