@@ -33,13 +33,15 @@ from defgrasp_ros.client import (  # noqa: E402
 )
 from defgrasp_ros.recording import read_log  # noqa: E402
 
+pytestmark = pytest.mark.timeout(300)  # the first one compiles the kernels
+
 BLOCK = box((0.03, 0.04, 0.03), (2, 3, 2))
 MATERIAL = Material(youngs_modulus=1e5)
 FROM_ABOVE = np.array([1.0, 0.0, 0.0, 0.0])
 SHORT = EvaluationOptions(pickup_hold_time=0.1, platform_speed=1.0, squeeze_time=0.1, time_step=0.02)
 LONG = EvaluationOptions(squeeze_time=60.0, time_step=1e-3)
 START_TIMEOUT = 60.0
-TIMEOUT = 100.0
+TIMEOUT = 250.0
 
 CENTRE = Grasp(np.zeros(3), FROM_ABOVE, id="centre")
 BESIDE = Grasp(np.array([0.0, 0.2, 0.0]), FROM_ABOVE, id="beside")

@@ -206,7 +206,13 @@ def test_options_left_out_are_the_parameters(node: EvaluatorNode) -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("gripper", "lobster"), ("experiment.time_step", -1.0), ("max_grasps", 0), ("publish.sample_rate", 1e9)],
+    [
+        ("gripper", "lobster"),
+        ("device", "tpu"),
+        ("experiment.time_step", -1.0),
+        ("max_grasps", 0),
+        ("publish.sample_rate", 1e9),
+    ],
 )
 def test_impossible_parameter_is_refused(node: EvaluatorNode, name: str, value: object) -> None:
     """A value outside its range is not taken, and the reason is told."""

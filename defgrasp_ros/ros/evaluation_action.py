@@ -49,8 +49,12 @@ class Goal:
 
     def _execute(self) -> None:
         """Let rclpy ask for the result; the goal is then no longer one that waits."""
-        if not self._started:
-            self._started = True
+        if self._started:
+            return
+        self._started = True
+        try:
+            self._handle.execute()
+        except RuntimeError:  # canceled at this very moment; rclpy then asks for the result of a canceled goal
             self._handle.execute()
 
 

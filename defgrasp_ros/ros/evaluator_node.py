@@ -12,7 +12,6 @@ from threading import Event, Thread
 import rclpy
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
-from rclpy.executors import MultiThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
@@ -24,6 +23,7 @@ from defgrasp_ros.ros.evaluation_queue import EvaluationQueue
 from defgrasp_ros.ros.evaluation_service import SERVICE_NAME, EvaluationService
 from defgrasp_ros.ros.evaluator import Evaluator, give_up
 from defgrasp_ros.ros.evaluator_info import EvaluatorInfo
+from defgrasp_ros.ros.executor import PatientExecutor
 from defgrasp_ros.ros.managed_node import ManagedNode
 from defgrasp_ros.ros.object_registry import ObjectRegistry
 from defgrasp_ros.ros.object_services import ObjectServices
@@ -65,7 +65,7 @@ class EvaluatorNode(ManagedNode):
         ObjectServices(self, self._registry)
         Diagnostics(
             self,
-            lambda: self.problem,
+            self._device_problem,
             lambda: self._queue.waiting_count,
             lambda: self._evaluator.last_failure,
         )
@@ -108,6 +108,13 @@ class EvaluatorNode(ManagedNode):
         """Forget the registered objects."""
         self._registry.clear()
 
+    def _device_problem(self) -> str | None:
+        """Return why the device cannot be used; empty where it can, None before the configuration."""
+        device = self.get_parameter("device").value
+        if self.problem == "" and device not in self._devices:
+            return f"device = '{device}' is not available; this machine has: {', '.join(self._devices)}"
+        return self.problem
+
     def _require_room(self) -> None:
         """Raise where no request can be taken now."""
         if not self._takes_requests:
@@ -133,7 +140,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         node = EvaluatorNode()
     except (InvalidParameterValueException, InvalidParameterTypeException) as error:
         sys.exit(f"defgrasp_evaluator: {error}")
-    executor = MultiThreadedExecutor(num_threads=EXECUTOR_THREADS)
+    executor = PatientExecutor(num_threads=EXECUTOR_THREADS)
     executor.add_node(node)
 
     def spin() -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,9 @@ from defgrasp_ros.ros.topics import LOGGED, relative_name
 
 EXPERIMENT = "experiment."
 """Prefix of the parameters that stand in for options left 0 in a request."""
+
+
+DEVICE_NAME = re.compile(r"cpu|cuda:\d+")
 
 
 @dataclass(frozen=True)
@@ -251,11 +255,19 @@ def parameters_markdown() -> str:
     return "\n".join(lines) + "\n"
 
 
+def _check_device(name: str) -> None:
+    """Raise unless a device may have this name; whether this machine has it turns out when the node is configured."""
+    if not DEVICE_NAME.fullmatch(name):
+        raise InvalidOptionsError(f"device = '{name}' is no name of a device; give cpu, or cuda:0, cuda:1 ...")
+
+
 def _check(parameters: list[RosParameter]) -> SetParametersResult:
     for parameter in parameters:
         try:
             if parameter.name == "gripper":
                 load_gripper(parameter.value)
+            elif parameter.name == "device":
+                _check_device(parameter.value)
             elif parameter.name == "preset":
                 load_preset(parameter.value)
             elif parameter.name == "record.topics":
