@@ -10,8 +10,8 @@ import numpy as np
 
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
-from defgrasp_ros.picture import BOX_CORNERS, BOX_TRIANGLES
 from defgrasp_ros.rendering import Camera, compose, downsample, solid
+from defgrasp_ros.scene import BOX_CORNERS, BOX_TRIANGLES
 
 OBJECT_COLOR = np.array([0.86, 0.84, 0.8])
 FORK_COLORS = "turbo"
