@@ -16,6 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from defgrasp_ros import evaluation as ev
 from defgrasp_ros.commands.evaluation_options import Experiments, Preset, evaluation_options, with_constants
+from defgrasp_ros.commands.export import export
 from defgrasp_ros.commands.grippers import grippers
 from defgrasp_ros.commands.mesh import mesh
 from defgrasp_ros.commands.object_argument import (
@@ -27,6 +28,7 @@ from defgrasp_ros.commands.object_argument import (
     prepared_object,
 )
 from defgrasp_ros.commands.objects import objects
+from defgrasp_ros.commands.report import report
 from defgrasp_ros.commands.sample import sample
 from defgrasp_ros.errors import DefgraspError, InvalidGraspError
 from defgrasp_ros.gripper import DEFAULT_GRIPPER, load_gripper
@@ -39,9 +41,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # brackets in the help are units
 )
+app.command()(export)
 app.command()(grippers)
 app.command()(mesh)
 app.command()(objects)
+app.command()(report)
 app.command()(sample)
 
 

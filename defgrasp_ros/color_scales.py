@@ -16,7 +16,7 @@ STRESS_COLORS, STRESS_COLOR_RANGE = "magma_r", (0.03, 0.86)
 STRESS_EXPONENT = 0.5
 """Colour grows with this power of the stress: most of a grasped body bears a small fraction of the peak."""
 DEFORMATION_COLORS, DEFORMATION_COLOR_RANGE = "YlGnBu", (0.05, 0.95)
-ACCELERATION_COLORS, ACCELERATION_COLOR_RANGE = "plasma", (0.0, 0.92)
+ACCELERATION_COLORS, ACCELERATION_COLOR_RANGE = "plasma", (0.14, 0.95)
 PEAK_PERCENTILE = 99.5
 """Of the nodes; what lies above has the last colour, so that one corner does not take the whole scale."""
 SMALLEST_PEAK = 1e-12

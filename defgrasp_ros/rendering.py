@@ -141,6 +141,16 @@ def compose(layers: list[Layer], background: np.ndarray, softness: float) -> np.
     return np.clip(image * _occlusion(layers, softness)[..., None], 0.0, 1.0)
 
 
+def compose_transparent(layers: list[Layer], softness: float) -> np.ndarray:
+    """Return the picture of all layers together without a ground: RGB and opacity, shape ``(row, column, 4)``.
+
+    Arguments as for ``compose``.
+    """
+    on_white, on_black = compose(layers, np.ones(3), softness), compose(layers, np.zeros(3), softness)
+    opacity = np.clip(1.0 - (on_white - on_black).mean(axis=-1, keepdims=True), 0.0, 1.0)
+    return np.concatenate([np.clip(on_black / np.maximum(opacity, 1e-9), 0.0, 1.0), opacity], axis=-1)
+
+
 def downsample(image: np.ndarray, factor: int) -> np.ndarray:
     """Average blocks of ``factor`` x ``factor`` pixels, which smooths edges."""
     rows, columns = image.shape[0] // factor, image.shape[1] // factor
