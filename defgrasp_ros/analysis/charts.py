@@ -33,6 +33,9 @@ SIZE, DPI = 8.5, 72
 WIDTH, PANEL_HEIGHT = 7.2, 1.35
 """Of a chart over time and of each of its panels [inch]."""
 
+LINE_WIDTH, WIDE_LINE = 1.4, 3.6
+"""Of a curve, and of the left finger's, which still shows where the right finger's lies upon it [point]."""
+
 PANELS = (
     ("force [N]", 1.0, {"left_normal_force": LEFT, "right_normal_force": RIGHT, "platform_force": PLATFORM}),
     ("opening [mm]", 1e3, {"opening": ACCENT}),
@@ -51,7 +54,8 @@ def course_chart(series: TimeSeries) -> Markup | None:
     for ax, (label, factor, curves) in zip(axes, panels, strict=True):
         for name, color in curves.items():
             if series.has(name):
-                ax.plot(series.time, factor * series.values[name], color=color, linewidth=1.6)
+                width = WIDE_LINE if color == LEFT else LINE_WIDTH
+                ax.plot(series.time, factor * series.values[name], color=color, linewidth=width)
         ax.set_ylabel(label)
         ax.margins(x=0.0)
     axes[-1].set_xlabel("simulated time [s]")

@@ -178,7 +178,7 @@ def image_uri(image: np.ndarray) -> str:
     from PIL import Image
 
     buffer = io.BytesIO()
-    Image.fromarray(np.round(255.0 * image).astype(np.uint8), "RGBA").save(buffer, "WEBP", quality=QUALITY, method=6)
+    Image.fromarray(np.round(255.0 * image).astype(np.uint8), "RGBA").save(buffer, "WEBP", quality=QUALITY)
     return "data:image/webp;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 

@@ -175,7 +175,7 @@ def _grasps(
     for entry in log.messages:
         if entry.topic.endswith("/contacts"):
             contacts[entry.message.grasp_index].append(entry)
-        elif entry.topic.endswith("/joint_states"):
+        elif entry.topic.endswith(("/joint_states", "/all_joint_states")):
             openings[entry.message.header.frame_id][entry.publish_time] = _opening(entry.message)
     grasps = []
     for index, message in enumerate(requested):

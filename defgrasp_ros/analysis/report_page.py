@@ -28,7 +28,7 @@ from defgrasp_ros.color_scales import acceleration_scale, deformation_scale, rou
 from defgrasp_ros.errors import InvalidOptionsError, RecordingError
 from defgrasp_ros.evaluation import EvaluationOptions, Experiment, GraspEvaluation
 from defgrasp_ros.option import options_of
-from defgrasp_ros.report import EXPERIMENT_COLUMNS, FEATURE_COLUMNS, METRIC_COLUMNS, reasons
+from defgrasp_ros.report import EXPERIMENT_COLUMNS, FEATURE_COLUMNS, METRIC_COLUMNS
 from defgrasp_ros.scene import STAGES, Scene, drawn_stage
 
 if TYPE_CHECKING:
@@ -52,6 +52,8 @@ TABLE_TITLES = {
 }
 SUPERSCRIPTS = {"^2": "²", "^3": "³"}
 GRADIENT_STOPS = 13
+TICK_DISTANCE = 9.0
+"""Least distance of labels below a scale of colours [% of its length]."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +216,7 @@ def _table_rows(run: RecordedRun, columns: Sequence[tuple]) -> list[dict[str, An
             "grasp": grasp,
             "held": grasp.evaluation.metrics.pickup_success,
             "outcome": _outcome(grasp.evaluation),
-            "reasons": reasons(grasp.evaluation),
+            "why": _why(grasp.evaluation),
             "force": _format(grasp.evaluation.target_force, ".3g"),
             "numbers": numbers[grasp.index],
         }
@@ -250,6 +252,18 @@ def _metric(run: RecordedRun, evaluation: GraspEvaluation, column: tuple) -> Num
         value=value,
         bound=bound,
     )
+
+
+def _why(evaluation: GraspEvaluation) -> str:
+    """Return why a grasp failed, and which experiments have gaps, in a few words."""
+    lines = [] if evaluation.metrics.pickup_success else [evaluation.message]
+    for experiment in (*ACCELERATIONS, Experiment.REORIENTATION):
+        result = getattr(evaluation, experiment)
+        if result and any(result.reasons):
+            noun = "axes" if experiment == Experiment.REORIENTATION else "directions"
+            missing = sum(map(bool, result.reasons))
+            lines.append(f"{experiment.replace('_', ' ')}: {missing} of {len(result.reasons)} {noun} not measured")
+    return "; ".join(lines)
 
 
 def _why_missing(run: RecordedRun, evaluation: GraspEvaluation, experiment: Experiment | None) -> str:
@@ -356,9 +370,9 @@ def _facts(run: RecordedRun) -> list[tuple[str, list[tuple[str, str]]]]:
                 ("device", run.provenance.get("device", "unknown")),
                 ("start", f"{datetime.fromtimestamp(run.start_time / 1e9).astimezone():%Y-%m-%d %H:%M:%S %Z}"),
                 ("wall time", f"{run.wall_time:.1f} s"),
+                ("versions", ", ".join(f"{name} {text}" for name, text in run.versions.items()) or "unknown"),
             ],
         ),
-        ("Versions", list(run.versions.items()) or [("", "unknown")]),
     ]
     return groups
 
@@ -574,7 +588,7 @@ def color_bar(title: str, scale: ScalarMappable, factor: float, unit: str) -> Co
     values = [low, *round_numbers(max(low, high / 12.0), high)] if low == 0.0 else np.linspace(low, high, 4)
     ticks = [(100.0 * float(scale.norm(value)), f"{value * factor:.3g}") for value in values]
     spaced = [ticks[0]]
-    for tick in ticks[1:]:
-        if tick[0] - spaced[-1][0] > 9.0:
+    for tick in (*ticks[1:], (100.0, f"{high * factor:.2g}")):
+        if tick[0] - spaced[-1][0] > TICK_DISTANCE:
             spaced.append(tick)
     return ColorBar(title, gradient, spaced, unit)

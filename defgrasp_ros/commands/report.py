@@ -22,7 +22,7 @@ def report(
         ),
     ] = None,
 ) -> None:
-    """Write one self-contained page about the run in LOG: tables, pictures and charts. A log that was cut off will do."""
+    """Write one self-contained page about the run in LOG: tables, pictures, charts. A log that was cut off will do."""
     from defgrasp_ros.analysis import load_run
     from defgrasp_ros.analysis.report_page import write_report
 
