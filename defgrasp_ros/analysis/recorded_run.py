@@ -146,7 +146,10 @@ def load_run(path: Path) -> RecordedRun:
     parameters = yaml.safe_load(log.provenance.get("parameters", "")) or {}
     notes = [] if log.complete else ["The log was not closed: it ends where its writer stopped."]
     messages = {message.grasp_index: message for message in log.on("evaluations")}
-    evaluations = {index: evaluation_from_message(message) for index, message in messages.items()}
+    try:
+        evaluations = {index: evaluation_from_message(message) for index, message in messages.items()}
+    except AttributeError as error:
+        raise RecordingError(f"{log.path} was made with other message definitions than those here: {error}") from error
     gripper_name = request.gripper or parameters.get("gripper", "")
     return RecordedRun(
         name=log.path.stem.removesuffix("_0"),
