@@ -14,11 +14,13 @@ import numpy as np
 import warp as wp
 
 from defgrasp_ros.mesh.tet_mesh import TetMesh
-from defgrasp_ros.simulation import contact_set, coulomb, stepper
 from defgrasp_ros.simulation import kernels_elasticity as elastic
+from defgrasp_ros.simulation import stepper
 from defgrasp_ros.simulation.anderson import DEPTH, Anderson
 from defgrasp_ros.simulation.contact_set import ContactSet
+from defgrasp_ros.simulation.contact_solver import ContactSolver
 from defgrasp_ros.simulation.dense import multiply_rows
+from defgrasp_ros.simulation.kernels_coulomb import ContactProblems
 from defgrasp_ros.simulation.stepper import Stepper
 
 ELEMENT_PASS = 0.2e-6
@@ -64,7 +66,7 @@ class StageTimes:
     problems: Counter = field(default_factory=Counter)
     """Contact problems by number of points."""
     systems: Counter = field(default_factory=Counter)
-    """Linear systems of the contact problems by number of unknowns."""
+    """Linear systems of the contact problems by number of unknowns, of the points that carry force in the end."""
     _path: tuple[str, ...] = ()
 
     @contextmanager
@@ -119,8 +121,7 @@ def recorded_stages(clock: Callable[[], float]) -> Iterator[StageTimes]:
         for owner, attribute, name in METHODS:
             patches.enter_context(patch.object(owner, attribute, _timed(times, getattr(owner, attribute), name)))
         patches.enter_context(patch.object(Stepper, "_launch", _timed_launch(times)))
-        patches.enter_context(patch.object(contact_set, "solve_contacts", _counted_problems(times)))
-        patches.enter_context(patch.object(coulomb, "_newton_direction", _counted_systems(times)))
+        patches.enter_context(patch.object(ContactSolver, "solve", _counted_problems(times)))
         yield times
 
 
@@ -156,21 +157,16 @@ def _timed_launch(times: StageTimes) -> Callable:
 
 
 def _counted_problems(times: StageTimes) -> Callable:
-    solve = contact_set.solve_contacts
+    solve = ContactSolver.solve
 
-    def call(problem: coulomb.ContactProblem, *arguments):
-        times.problems[len(problem.offset) // 3] += 1
-        return solve(problem, *arguments)
-
-    return call
-
-
-def _counted_systems(times: StageTimes) -> Callable:
-    solve = coulomb._newton_direction
-
-    def call(problem: coulomb.ContactProblem, scale: float, trial: np.ndarray, *arguments):
-        times.systems[3 * int((trial[::3] > 0.0).sum())] += 1
-        return solve(problem, scale, trial, *arguments)
+    def call(self: ContactSolver, problems: ContactProblems, *arguments):
+        solve(self, problems, *arguments)
+        rows = problems.worlds.shape[0]
+        counts, systems = problems.count.numpy()[problems.worlds.numpy()], self.systems.numpy()[:rows]
+        pressed = (self.force.numpy()[:rows, :, 0] > 0.0) & (np.arange(self.force.shape[1]) < counts[:, None])
+        times.problems.update(counts.tolist())
+        for unknowns, number in zip(3 * pressed.sum(axis=1), systems, strict=True):
+            times.systems[int(unknowns)] += int(number)
 
     return call
 

@@ -11,7 +11,7 @@ from defgrasp_ros.simulation import kernels_detection as detection
 from defgrasp_ros.simulation import kernels_faces as faces
 from defgrasp_ros.simulation import kernels_selection as selection
 from defgrasp_ros.simulation.contact_forces import SLIPPING_SHARE, ContactForces
-from defgrasp_ros.simulation.coulomb import ContactProblem, solve_contacts
+from defgrasp_ros.simulation.contact_solver import ContactSolver
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
 from defgrasp_ros.simulation.types import mat33d, vec3d
@@ -75,7 +75,12 @@ class ContactSet:
         self._force = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
         self._motion = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
         self._rho = wp.zeros(worlds, dtype=wp.float64, device=device)
-        self._compliance = wp.zeros((worlds, 3 * capacity, 3 * capacity), dtype=wp.float64, device=device)
+        self._problems = coulomb.ContactProblems()
+        self._problems.count, self._problems.rho = self.lists.count, self._rho
+        self._problems.friction = self._model.friction
+        self._problems.matrix = wp.zeros((worlds, capacity, capacity), dtype=mat33d, device=device)
+        self._problems.offset = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
+        self._solver = ContactSolver(worlds, capacity, device)
         self.stale.fill_(1)
 
     def _grow(self, count: int) -> None:
@@ -216,7 +221,7 @@ class ContactSet:
             contact.assemble_contact_compliance,
             (len(stale), self.capacity, self.capacity),
             [shared.matrix, shared.step_length, lists, some, state.rotation, state.finger_damping],
-            [self._compliance],
+            [self._problems.matrix],
         )
         set_entries(self.stale, stale, 0)
         self._assembled_step[stale] = shared.step_length
@@ -244,21 +249,12 @@ class ContactSet:
             tolerance: Largest residual [N], shape ``(row,)``.
         """
         self._relative_motion(rows, correction)
-        worlds, count = rows.numpy(), self.lists.count.numpy()
-        matrix, rho = self._compliance.numpy(), self._rho.numpy()
-        before, motion = (_flat(array) for array in (self._force, self._motion))
-        after = before[: len(worlds)].copy()
-        hard = np.zeros(len(worlds), dtype=bool)
-        for row, w in enumerate(worlds):
-            n = 3 * count[w]
-            if n:
-                block, start = matrix[w, :n, :n], before[row, :n]
-                problem = ContactProblem(block, motion[row, :n] - block @ start, self._model.friction, rho[w])
-                after[row, :n], hard[row] = solve_contacts(problem, start, tolerance[row])
-        force = wp.array(after.reshape(len(worlds), -1, 3), dtype=vec3d, device=self._device)
-        self._launch(contact.store_forces, force.shape, [rows, force, self.lists])
-        self._launch(_change, force.shape, [force, self._force])
-        return hard
+        problems, solver, places = self._problems, self._solver, (rows.shape[0], self.capacity)
+        problems.worlds = rows
+        self._launch(coulomb.motion_without_forces, places, [problems, self._force, self._motion])
+        solver.solve(problems, self._force, wp.array(tolerance, dtype=wp.float64, device=self._device))
+        self._launch(contact.take_forces, places, [rows, solver.force, self.lists, self._force])
+        return solver.attempts.numpy()[: len(tolerance)] > 1
 
     def add_force_change(self, rows: wp.array, nodal_force: wp.array) -> None:
         """Add what the last ``solve`` changed in the contact forces to nodal forces (row, node) [N]."""
@@ -337,15 +333,3 @@ class ContactSet:
 
     def _launch(self, kernel, dim, inputs: list, outputs: list | None = None) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self._device)
-
-
-def _flat(vectors: wp.array) -> np.ndarray:
-    """An array of vectors on the host as numbers, shape ``(row, 3 column)``."""
-    return vectors.numpy().reshape(vectors.shape[0], -1)
-
-
-@wp.kernel
-def _change(force: wp.array2d[vec3d], change: wp.array2d[vec3d]):
-    """change = force - change."""
-    i, c = wp.tid()
-    change[i, c] = force[i, c] - change[i, c]

@@ -158,12 +158,19 @@ def gather_forces(worlds: wp.array[int], contacts: ContactList, force_out: wp.ar
 
 
 @wp.kernel
-def store_forces(worlds: wp.array[int], force: wp.array2d[vec3d], contacts: ContactList):
-    """Copy a work buffer (row, contact) [N] into the forces of the list."""
+def take_forces(
+    worlds: wp.array[int],  # (row,)
+    force: wp.array2d[vec3d],  # (row, contact) [N]
+    # In and out:
+    contacts: ContactList,
+    change: wp.array2d[vec3d],  # (row, contact): in the forces of the list, out what they change by [N]
+):
+    """Put new forces into the list."""
     i, c = wp.tid()
     w = worlds[i]
     if c < contacts.count[w]:
         contacts.force[w, c] = force[i, c]
+        change[i, c] = force[i, c] - change[i, c]
 
 
 @wp.kernel
@@ -195,7 +202,7 @@ def assemble_contact_compliance(
     rotation: wp.array2d[mat33d],  # (world, node)
     finger_damping: wp.array[wp.float64],  # (world,) [N s/m]
     # Out:
-    matrix_out: wp.array3d[wp.float64],  # (world, 3 contact, 3 contact) [m/N]
+    matrix_out: wp.array3d[mat33d],  # (world, contact, contact) [m/N]
 ):
     """Gather W = J R P R^T J^T, and add what the fingers yield along the closing axis: h / c a a^T."""
     i, a, b = wp.tid()
@@ -223,7 +230,5 @@ def assemble_contact_compliance(
     block = contacts.frame[w, a] * block * wp.transpose(contacts.frame[w, b])
     if is_pad(contacts.body[w, a]) and is_pad(contacts.body[w, b]):
         block += step_length / finger_damping[w] * wp.outer(contacts.axis[w, a], contacts.axis[w, b])
-    for x in range(3):
-        for y in range(3):
-            matrix_out[w, 3 * a + x, 3 * b + y] = block[x, y]
-            matrix_out[w, 3 * b + y, 3 * a + x] = block[x, y]
+    matrix_out[w, a, b] = block
+    matrix_out[w, b, a] = wp.transpose(block)

@@ -1,18 +1,45 @@
-"""Kernels of the contact laws: how far the contacts of each world are from them. How they are solved: ``coulomb``."""
+"""The laws of contact: Signorini's and Coulomb's, exact, and how far contacts are from them.
+
+With the motion w(lambda) = W lambda + q, for each contact
+
+    0 <= w_n  _|_  lambda_n >= 0,    |lambda_t| <= mu lambda_n,    w_t != 0  =>  lambda_t = -mu lambda_n w_t / |w_t|,
+
+which is  K  contains  lambda  _|_  w + mu |w_t| n  in  K*  with the Coulomb cone K (De Saxce). The residual is that of
+the natural map, |lambda - Proj_K(lambda - (w + mu |w_t| n) / rho)| [N], largest over the contacts of a world.
+Vectors of a contact are (normal, tangential, tangential). How the laws are solved: ``kernels_contact_solver``.
+"""
 
 import warp as wp
 
-from defgrasp_ros.simulation.types import vec3d
+from defgrasp_ros.simulation.types import mat33d, vec3d
 
 wp.set_module_options({"enable_backward": False})
 
 RHO_FRACTION = wp.constant(wp.float64(0.3))
 
 
+@wp.struct
+class ContactProblems:
+    """One frictional contact problem per row, over the contact points of a world."""
+
+    worlds: wp.array[int]  # (row,)
+    count: wp.array[int]  # (world,) points
+    matrix: wp.array3d[mat33d]  # (world, contact, contact): W [m/N], symmetric, positive semi-definite
+    offset: wp.array2d[vec3d]  # (row, contact): q [m]
+    friction: wp.float64  # mu [-]
+    rho: wp.array[wp.float64]  # (world,): elastic self-compliance of a contact, scale of the natural map [m/N]
+
+
+@wp.func
+def tangential_length(v: vec3d) -> wp.float64:
+    """Length of the tangential part."""
+    return wp.sqrt(v[1] * v[1] + v[2] * v[2])
+
+
 @wp.func
 def project_on_cone(v: vec3d, friction: wp.float64) -> vec3d:
-    """Return the point of the Coulomb cone |v_t| <= mu v_n closest to v = (normal, tangential, tangential)."""
-    t = wp.sqrt(v[1] * v[1] + v[2] * v[2])
+    """Return the point of the Coulomb cone |v_t| <= mu v_n closest to v."""
+    t = tangential_length(v)
     if t <= friction * v[0]:
         return v
     if friction * t <= -v[0]:
@@ -25,13 +52,44 @@ def project_on_cone(v: vec3d, friction: wp.float64) -> vec3d:
 @wp.func
 def with_de_saxce(w: vec3d, friction: wp.float64) -> vec3d:
     """Return w + mu |w_t| n."""
-    return vec3d(w[0] + friction * wp.sqrt(w[1] * w[1] + w[2] * w[2]), w[1], w[2])
+    return vec3d(w[0] + friction * tangential_length(w), w[1], w[2])
 
 
 @wp.func
 def natural_map(force: vec3d, w: vec3d, rho: wp.float64, friction: wp.float64) -> wp.float64:
     """Return how far a contact is from its law [N]."""
     return wp.length(force - project_on_cone(force - with_de_saxce(w, friction) / rho, friction))
+
+
+@wp.func
+def largest_residual(
+    force: wp.array2d[vec3d], motion: wp.array2d[vec3d], row: int, count: int, rho: wp.float64, friction: wp.float64
+) -> wp.float64:
+    """Distance of the worst contact of a row from its law [N]; not finite where a force or motion is not."""
+    worst = wp.float64(0.0)
+    for c in range(count):
+        distance = natural_map(force[row, c], motion[row, c], rho, friction)
+        if not wp.isfinite(distance):
+            return distance
+        worst = wp.max(worst, distance)
+    return worst
+
+
+@wp.kernel
+def motion_without_forces(
+    problems: ContactProblems,  # offset: out
+    force: wp.array2d[vec3d],  # (row, contact) [N]
+    motion: wp.array2d[vec3d],  # (row, contact): w of these forces [m]
+):
+    """Set q = w - W lambda."""
+    i, c = wp.tid()
+    w = problems.worlds[i]
+    if c >= problems.count[w]:
+        return
+    offset = motion[i, c]
+    for k in range(problems.count[w]):
+        offset -= problems.matrix[w, c, k] * force[i, k]
+    problems.offset[i, c] = offset
 
 
 @wp.kernel
@@ -47,10 +105,7 @@ def contact_residual(
     """Largest distance of a contact from its law."""
     i = wp.tid()
     w = worlds[i]
-    worst = wp.float64(0.0)
-    for c in range(count[w]):
-        worst = wp.max(worst, natural_map(force[i, c], motion[i, c], rho[w], friction))
-    residual_out[i] = worst
+    residual_out[i] = largest_residual(force, motion, i, count[w], rho[w], friction)
 
 
 @wp.kernel

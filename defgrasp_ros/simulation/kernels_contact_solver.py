@@ -1,0 +1,82 @@
+"""Solves the contact problem of each world: by Newton's method where it works, otherwise by what it takes.
+
+The attempts, each from the forces of the iteration before:
+
+1. Newton's method as it is. Its scale lies between that of the elastic and that of the rigid body.
+2. In rounds with a proximal shift: for points that depend on each other.
+3. The same with the elastic scale.
+4. From the best iterate of an interior point method: for near-rigid bodies that slide.
+"""
+
+import warp as wp
+
+from defgrasp_ros.simulation.kernels_coulomb import ContactProblems
+from defgrasp_ros.simulation.kernels_interior_point import InteriorPointBuffers, interior_point
+from defgrasp_ros.simulation.kernels_newton import NewtonBuffers, newton
+from defgrasp_ros.simulation.types import vec3d
+
+wp.set_module_options({"enable_backward": False})
+
+SCALE = wp.constant(wp.float64(0.2))
+"""Scale of Newton's method relative to the geometric mean of the elastic and the rigid one [-]."""
+SMALL_SCALE = wp.constant(wp.float64(0.1))
+"""Scale after the interior point method, relative to the one above [-]."""
+PROXIMITY = wp.constant(wp.float64(1e-3))
+"""Proximal shift relative to the elastic scale [-]."""
+ROUNDS = wp.constant(6)
+ATTEMPTS = wp.constant(4)
+
+
+@wp.kernel
+def solve_contacts(
+    problems: ContactProblems,
+    start: wp.array2d[vec3d],  # (row, contact): first guess [N]
+    tolerance: wp.array[wp.float64],  # (row,): largest accepted residual [N]
+    newton_buffers: NewtonBuffers,
+    interior_buffers: InteriorPointBuffers,
+    # Out:
+    force_out: wp.array2d[vec3d],  # (row, contact): the best that was found [N]
+    attempts_out: wp.array[int],  # (row,): methods that were tried
+):
+    """Find the forces that obey the laws of contact. Whether they do tells the caller's own residual."""
+    i = wp.tid()
+    w = problems.worlds[i]
+    count = problems.count[w]
+    attempts_out[i] = 0
+    newton_buffers.systems[i] = 0
+    if count == 0:
+        return
+    trace = wp.float64(0.0)
+    level = wp.float64(0.0)
+    for c in range(count):
+        trace += wp.trace(problems.matrix[w, c, c])
+        level += wp.abs(start[i, c][0])
+    level /= wp.float64(count)
+    mean = SCALE * wp.sqrt(problems.rho[w] * trace)
+    least = wp.float64(wp.inf)
+    for attempt in range(ATTEMPTS):
+        attempts_out[i] = attempt + 1
+        scale = mean
+        shift = PROXIMITY * problems.rho[w]
+        rounds = ROUNDS
+        if attempt == 0:
+            shift = wp.float64(0.0)
+            rounds = 1
+        if attempt == 2:
+            scale = problems.rho[w]
+        for c in range(count):
+            newton_buffers.force[i, c] = start[i, c]
+        if attempt == 3:
+            if problems.friction == wp.float64(0.0):
+                return
+            interior_point(problems, interior_buffers, i, level, tolerance[i])
+            scale = SMALL_SCALE * mean
+            for c in range(count):
+                newton_buffers.force[i, c] = interior_buffers.best[i, c]
+        residual = newton(problems, newton_buffers, i, scale, shift, rounds, tolerance[i])
+        if residual < least:
+            least = residual
+            for c in range(count):
+                force_out[i, c] = newton_buffers.force[i, c]
+        if least <= tolerance[i]:
+            return
