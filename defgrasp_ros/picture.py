@@ -266,10 +266,7 @@ def _write_legend(figure: Figure, right: float, top: float, width: float, height
     """Say what the arrows are, in a line that ends at ``right`` [inch], ``top`` inches above the bottom."""
     from matplotlib.patches import FancyArrowPatch
 
-    entries = [("contact force on the object", FORCE_COLOR)]
-    entries += [
-        (f"{axis}: {meaning}", color) for axis, meaning, color in zip("xyz", AXIS_NAMES, AXIS_COLORS, strict=True)
-    ]
+    entries = [("contact force on the object", FORCE_COLOR), *zip(AXIS_NAMES, AXIS_COLORS, strict=True)]
     for text, color in reversed(entries):
         right -= LEGEND_CHARACTER * len(text)
         figure.text(right / width, top / height, text, fontsize=8.5, color=TEXT_COLOR, va="center")
