@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from defgrasp_ros.commands.evaluation_options import Experiments, Preset, evaluation_options, with_constants
+from defgrasp_ros.commands.export import export
 from defgrasp_ros.commands.grippers import grippers
 from defgrasp_ros.commands.info import info
 from defgrasp_ros.commands.mesh import mesh
@@ -28,6 +29,7 @@ from defgrasp_ros.commands.object_argument import (
 from defgrasp_ros.commands.objects import objects
 from defgrasp_ros.commands.progress import ProgressBar, progress_line
 from defgrasp_ros.commands.replay import replay
+from defgrasp_ros.commands.report import report
 from defgrasp_ros.commands.rerun import rerun
 from defgrasp_ros.commands.sample import sample
 from defgrasp_ros.errors import DefgraspError, InvalidGraspError
@@ -41,11 +43,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # brackets in the help are units
 )
+app.command()(export)
 app.command()(grippers)
 app.command()(info)
 app.command()(mesh)
 app.command()(objects)
 app.command()(replay)
+app.command()(report)
 app.command()(rerun)
 app.command()(sample)
 
