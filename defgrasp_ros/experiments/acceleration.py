@@ -88,7 +88,8 @@ def frozen_without_gravity(batch: GraspBatch) -> dict[Candidate, WorldSnapshot |
     for some in chunks(chosen, batch.simulator.world_count):
         worlds = load_free(batch, some)
         forces = np.array([candidate.target_force for candidate in some])
-        outcome = ramp_closing_force(batch, worlds, some, np.zeros(len(some)), forces)
+        nothing = np.zeros(len(some))
+        outcome = ramp_closing_force(batch, worlds, some, nothing, forces, batch.options.squeeze_time)
         for w, candidate, failure in zip(worlds, some, outcome, strict=True):
             batch.simulator.freeze_fingers(np.array([w]))
             frozen[candidate] = failure or batch.simulator.save(w)

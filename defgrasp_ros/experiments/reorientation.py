@@ -72,7 +72,7 @@ class Reorientation:
         end = np.array([self._force(candidate, w) for w, candidate in enumerate(candidates)])
         for candidate, force in zip(candidates, end, strict=True):
             self.forces[candidate], self.results[candidate] = force, self._no_result(force)
-        outcome = ramp_closing_force(self.batch, worlds, candidates, start, end)
+        outcome = ramp_closing_force(self.batch, worlds, candidates, start, end, self.batch.options.squeeze_time)
         simulator.remove_platform(worlds)
         gravity = np.tile(GRAVITY, (len(worlds), 1))
         reached = np.array([i for i, failure in enumerate(outcome) if failure is None], dtype=int)
