@@ -159,7 +159,7 @@ def load_run(path: Path) -> RecordedRun:
         mesh=_mesh(log, request.object, evaluations.values(), notes),
         gripper_name=gripper_name,
         gripper=_gripper(gripper_name, notes),
-        options=_options(request.options, parameters),
+        options=yaml.safe_load(log.provenance.get("options", "")) or _options(request.options, parameters),
         grasps=_grasps(log, request.grasps, start, messages, evaluations),
         start_time=start,
         wall_time=(log.messages[-1].log_time - log.messages[0].log_time) / NANOSECONDS,
