@@ -199,7 +199,7 @@ def test_bad_input_is_named(log, tmp_path):
     (tmp_path / "text.mcap").write_text("no log")
     with pytest.raises(RecordingError, match="no MCAP file"):
         load_run(tmp_path / "text.mcap")
-    with pytest.raises(RecordingError, match="cannot read"):
+    with pytest.raises(RecordingError, match="gone.mcap"):
         load_run(tmp_path / "gone.mcap")
     with pytest.raises(InvalidOptionsError, match="--hdf5"):
         export(log)

@@ -15,16 +15,15 @@ import yaml
 from defgrasp_ros.errors import DefgraspError, RecordingError, ResultCode
 from defgrasp_ros.evaluation import FINGER_NAMES, GraspEvaluation
 from defgrasp_ros.grasp import Grasp
-from defgrasp_ros.gripper import Gripper, load_gripper
+from defgrasp_ros.gripper import Gripper, gripper_from_values, load_gripper
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.tet_mesh import TetMesh
 from defgrasp_ros.object_model import ObjectModel
 from defgrasp_ros.recording import LoggedMessage, LoggedRun, read_log
+from defgrasp_ros.recording.attachments import MESH_FILE
 
 NANOSECONDS = 1_000_000_000
 NOT_FINISHED = "not finished: the log ends before its result"
-MESH_ATTACHMENT = "object.mesh"
-"""Tetrahedra inside a log, in the format of MEDIT."""
 
 PICKUP_FIELDS = (
     "opening",
@@ -92,7 +91,7 @@ class RecordedRun:
     """None if the log does not hold the tetrahedra; ``notes`` says so."""
     gripper_name: str
     gripper: Gripper | None
-    """None if there is no gripper of that name here; ``notes`` says so."""
+    """None if the log does not describe it and there is none of that name here; ``notes`` says so."""
     options: dict[str, Any]
     """The experiment options that were in force."""
     grasps: list[RecordedGrasp]
@@ -158,8 +157,8 @@ def load_run(path: Path) -> RecordedRun:
         material=material_from_message(request.object.material),
         mesh=_mesh(log, request.object, evaluations.values(), notes),
         gripper_name=gripper_name,
-        gripper=_gripper(gripper_name, notes),
-        options=_options(request.options, parameters),
+        gripper=_gripper(log.provenance.get("gripper", ""), gripper_name, notes),
+        options=yaml.safe_load(log.provenance.get("options", "")) or _options(request.options, parameters),
         grasps=_grasps(log, request.grasps, start, messages, evaluations),
         start_time=start,
         wall_time=(log.messages[-1].log_time - log.messages[0].log_time) / NANOSECONDS,
@@ -232,9 +231,10 @@ def _options(options: Any, parameters: dict[str, Any]) -> dict[str, Any]:
     return {name: value if isinstance(value, bool) or value else defaults[name] for name, value in given.items()}
 
 
-def _gripper(name: str, notes: list[str]) -> Gripper | None:
+def _gripper(values: str, name: str, notes: list[str]) -> Gripper | None:
+    """Return the gripper of a log's values (YAML); of a log without them, the one that has its name here."""
     try:
-        return load_gripper(name)
+        return gripper_from_values(yaml.safe_load(values)) if values else load_gripper(name)
     except DefgraspError as error:
         notes.append(f"Fingers are not drawn: {error}.")
         return None
@@ -259,11 +259,11 @@ def _mesh(log: LoggedRun, message: Any, evaluations: Iterable[GraspEvaluation], 
 
 
 def _logged_tetrahedra(log: LoggedRun, message: Any) -> TetMesh | None:
-    from defgrasp_ros.mesh.mesh_files import read_mesh_bytes
+    from defgrasp_ros.mesh.mesh_files import parse_mesh
 
-    attachment = getattr(log, "attachments", {}).get(MESH_ATTACHMENT)
+    attachment = log.attachments.get(MESH_FILE)
     if attachment is not None:
-        return read_mesh_bytes(attachment.data, "mesh")
+        return TetMesh(*parse_mesh(attachment.data, Path(MESH_FILE).suffix))
     if not len(message.tetrahedra.vertices):
         return None
     vertices = np.asarray(message.tetrahedra.vertices).reshape(-1, 3) * (message.scale or 1.0)

@@ -302,7 +302,7 @@ def _forces(evaluation: GraspEvaluation) -> list[Number]:
     )
     numbers = []
     for name, title, factor, unit, style in columns:
-        value = getattr(evaluation, name, math.nan)
+        value = getattr(evaluation, name)
         estimate = name.endswith("_error")
         if estimate and not math.isfinite(value):
             continue  # an estimate that was not made is no news
