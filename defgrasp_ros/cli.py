@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from defgrasp_ros.commands.evaluation_options import Experiments, Preset, evaluation_options, with_constants
+from defgrasp_ros.commands.export import export
 from defgrasp_ros.commands.grippers import grippers
 from defgrasp_ros.commands.info import info
 from defgrasp_ros.commands.mesh import mesh
@@ -28,6 +29,7 @@ from defgrasp_ros.commands.object_argument import (
 from defgrasp_ros.commands.objects import objects
 from defgrasp_ros.commands.progress import ProgressBar, progress_line
 from defgrasp_ros.commands.replay import replay
+from defgrasp_ros.commands.report import report
 from defgrasp_ros.commands.rerun import rerun
 from defgrasp_ros.commands.sample import sample
 from defgrasp_ros.errors import DefgraspError, InvalidGraspError
@@ -41,11 +43,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # brackets in the help are units
 )
+app.command()(export)
 app.command()(grippers)
 app.command()(info)
 app.command()(mesh)
 app.command()(objects)
 app.command()(replay)
+app.command()(report)
 app.command()(rerun)
 app.command()(sample)
 
@@ -55,7 +59,7 @@ def _defgrasp() -> None:
     """Simulate how grasps of a deformable object turn out, and show how right that is."""
 
 
-@app.command()
+@app.command(epilog="Example: defgrasp evaluate banana --grasps grasps.json --experiments all --output results")
 @with_constants
 def evaluate(
     object: ObjectArgument,
@@ -80,6 +84,10 @@ def evaluate(
     gripper: Annotated[str, typer.Option(help="Gripper description in config/grippers")] = DEFAULT_GRIPPER,
     experiments: Experiments = None,
     preset: Preset = None,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(help="Wall time after which the run ends with what is finished [s]", show_default="none"),
+    ] = None,
     device: Annotated[str, typer.Option(help="cpu or cuda:0")] = "cpu",
     output: Annotated[Path | None, typer.Option(help="Folder for evaluations.json and evaluations.png")] = None,
     as_json: Annotated[
@@ -113,7 +121,7 @@ def evaluate(
     )
     console.print(material_text(substance))
     with ProgressBar(console, len(chosen)) as bar:
-        evaluations = evaluate_grasps(model, chosen, hand, options, device, bar)
+        evaluations = evaluate_grasps(model, chosen, hand, options, device, bar, time_limit)
     for index, evaluation in zip(indices, evaluations, strict=True):
         evaluation.grasp_index = index
 

@@ -20,6 +20,7 @@ class Topic:
         depth: How many messages the publisher keeps.
         latched: Whether a late subscriber gets the kept messages (durability ``transient_local``).
         reliable: Whether a lost message is sent again; else best effort.
+        description: What is on it, for people.
     """
 
     name: str
@@ -27,6 +28,7 @@ class Topic:
     depth: int
     latched: bool = False
     reliable: bool = True
+    description: str = ""
 
     @property
     def type_name(self) -> str:

@@ -11,12 +11,13 @@ from rclpy.node import Node
 
 from defgrasp_ros.errors import RecordingError
 from defgrasp_ros.recording import Attachment, LogStatistics, RunLog, Topic
-from defgrasp_ros.ros.topics import LOGGED, PUBLISHED, REQUEST, qos_profile, relative_name
+from defgrasp_ros.ros.topics import CLOCK, LOGGED, PUBLISHED, REQUEST, qos_profile, relative_name
 
 
 class Outputs:
     """Publishers of all topics, and the log of the present run if there is one; may be used from several threads.
 
+    The clock has a publisher only where the parameter ``publish.clock`` is set at the start.
     A log that fails ends, but never the run.
     """
 
@@ -26,6 +27,8 @@ class Outputs:
         self._publishers = {
             topic: node.create_publisher(topic.message_class, topic.name, qos_profile(topic)) for topic in PUBLISHED
         }
+        if node.get_parameter("publish.clock").value:
+            self._publishers[CLOCK] = node.create_publisher(CLOCK.message_class, CLOCK.name, qos_profile(CLOCK))
         self._lock = Lock()
         self._log: RunLog | None = None
         self._logged: frozenset[Topic] = frozenset()
@@ -91,7 +94,8 @@ class Outputs:
 
     def wanted(self, topic: Topic) -> bool:
         """Whether somebody listens to a topic, or the log does."""
-        return topic in self._logged or self._publishers[topic].get_subscription_count() > 0
+        is_heard = topic in self._publishers and self._publishers[topic].get_subscription_count() > 0
+        return is_heard or topic in self._logged
 
     def send(self, topic: Topic, message: object, time: int) -> None:
         """Publish a message and log it.
@@ -105,8 +109,10 @@ class Outputs:
         self.log(topic, message, time)
 
     def publish(self, topic: Topic, message: object) -> None:
-        """Publish a message without logging it."""
-        self._publishers[topic].publish(message)
+        """Publish a message without logging it; one that nobody hears now or later costs nothing."""
+        publisher = self._publishers[topic]
+        if topic.latched or publisher.get_subscription_count() > 0:
+            publisher.publish(message)
 
     def log(self, topic: Topic, message: object, time: int) -> None:
         """Write a message into the log only; without effect where there is no log, or not for this topic.
