@@ -178,7 +178,7 @@ def test_diagnostics_tell_how_each_part_is(operator: Operator, tmp_path: Path) -
         require_good_answer_after_start(client)
         operator.wait_until(lambda: heard and heard[-1]["device"].level == DiagnosticStatus.OK)
         parts = heard[-1]
-        assert {"device", "queue", "last run", "logs", "kernel cache"} <= set(parts)
+        assert {"device", "queue", "last run", "recording", "logs", "kernel cache"} <= set(parts)
         assert parts["device"].hardware_id == "cpu"
         assert parts["last run"].level == DiagnosticStatus.OK
         with pytest.raises(Exception, match="lobster"):

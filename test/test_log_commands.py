@@ -205,7 +205,6 @@ def small_log(tmp_path: Path) -> Path:
 
 
 COLLECTOR = """
-import sys, time
 import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -215,11 +214,11 @@ latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 rclpy.init()
 node = rclpy.create_node("collector")
 def say(text):
-    print(time.monotonic(), text, flush=True)
+    print(text, flush=True)
 node.create_subscription(String, "/robot_description", lambda m: say("description " + m.data), latched)
 node.create_subscription(JointState, "/joints", lambda m: say(f"joints {m.position[0]:g}"), 100)
 node.create_subscription(
-    Clock, "/clock", lambda m: say(f"clock {m.clock.sec + 1e-9 * m.clock.nanosec}"),
+    Clock, "/clock", lambda m: say(f"clock {(m.clock.sec * 10**9 + m.clock.nanosec) * 1e-9}"),
     QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT),
 )
 say("listening")
@@ -229,7 +228,7 @@ rclpy.spin(node)
 
 @pytest.fixture
 def collector() -> Iterator[subprocess.Popen]:
-    """A process that prints when it received what, on a domain that it shares with this process alone."""
+    """A process that prints what it receives, on a domain that it shares with this process alone."""
     with (
         isolated_ros(),
         subprocess.Popen([sys.executable, "-c", COLLECTOR], stdout=subprocess.PIPE, text=True) as heard,
@@ -241,39 +240,56 @@ def collector() -> Iterator[subprocess.Popen]:
             heard.kill()
 
 
-def heard_until(collector: subprocess.Popen, last: str) -> list[tuple[float, str]]:
-    """Return what was received, with times [s], until ``last``."""
+def heard_until(collector: subprocess.Popen, last: str, count: int = 1) -> list[str]:
+    """Return what was received until ``last`` came ``count`` times without anything else between."""
     assert collector.stdout is not None
-    heard = []
+    heard: list[str] = []
     for line in collector.stdout:
-        at, text = line.strip().split(" ", 1)
-        heard.append((float(at), text))
-        if text == last:
+        heard.append(line.strip())
+        if heard[-count:] == [last] * count:
             return heard
     raise AssertionError(f"'{last}' never came: {heard}")
 
 
-def test_replay_starts_where_asked_in_the_recorded_rhythm(small_log: Path, collector: subprocess.Popen) -> None:
-    """From the middle on, at half the speed, with the latched message from before, and the clock of the log."""
-    defgrasp("replay", small_log, "--start", "0.45", "--rate", "0.5", "--clock")
+def test_replay_starts_where_asked(small_log: Path, collector: subprocess.Popen) -> None:
+    """From the middle on, with the latched message from before, and the clock of the log."""
+    times = [message.log_time for message in LogReader(small_log)]
+    middle = 1e-9 * (times[6] - times[0]) - 0.001  # the description, then joints 0 to 9
+    defgrasp("replay", small_log, "--start", f"{middle:.6f}", "--rate", "0.5", "--clock")
     heard = heard_until(collector, "description end")
-    texts = [text for _, text in heard if not text.startswith("clock")]
+    texts = [text for text in heard if not text.startswith("clock")]
     assert texts == ["description gripper", *(f"joints {number}" for number in range(5, 10)), "description end"]
-    times = [at for at, text in heard if text.startswith("joints")]
-    assert 0.7 < times[-1] - times[0] < 0.8 + 1.0, "0.4 s at half the speed"
-    clocks = [float(text.split()[1]) for _, text in heard if text.startswith("clock")]
-    start = LogReader(small_log)
-    first = next(iter(start)).log_time * 1e-9
+    clocks = [float(text.split()[1]) for text in heard if text.startswith("clock")]
     assert len(clocks) > 5
     assert clocks == sorted(clocks)
-    assert first + 0.44 < clocks[0] and clocks[-1] < first + 1.5
+    assert 1e-9 * times[5] < clocks[0] and clocks[-1] <= 1e-9 * times[-1] + 1e-6
+
+
+def test_time_of_a_replay_follows_rate_and_pause(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Log time passes at the rate, stands still in a pause, and begins anew where asked."""
+    from defgrasp_ros.ros.playback_timer import PlaybackTimer
+
+    wall = 1_000
+    monkeypatch.setattr("time.monotonic_ns", lambda: wall)
+    timer = PlaybackTimer(start=0, rate=2.0)
+    wall += 100
+    assert timer.position == 200
+    timer.toggle_pause()
+    wall += 1_000
+    assert timer.paused and timer.position == 200
+    timer.toggle_pause()
+    wall += 10
+    assert timer.position == 220
+    timer.restart(5_000)
+    wall += 1
+    assert timer.position == 5_002
 
 
 def test_replay_of_some_topics(small_log: Path, collector: subprocess.Popen) -> None:
     """What is not named is not published."""
     assert "joints" in defgrasp("info", small_log)
     defgrasp("replay", small_log, "--topics", "robot_description", "--rate", "10")
-    texts = [text for _, text in heard_until(collector, "description end")]
+    texts = heard_until(collector, "description end")
     assert texts == ["description gripper", "description end"]
 
 
@@ -287,25 +303,23 @@ def test_replay_loops_until_it_is_interrupted(small_log: Path, collector: subpro
         assert replay.wait(TIMEOUT) == 0
 
 
-def test_space_bar_pauses_and_goes_on(small_log: Path, collector: subprocess.Popen) -> None:
-    """A replay that begins paused publishes nothing until the space bar is pressed in its terminal."""
+def test_space_bar_lets_a_paused_replay_go_on(small_log: Path, collector: subprocess.Popen) -> None:
+    """A replay that begins paused publishes nothing but its standing clock until the space bar is pressed."""
+    start = next(iter(LogReader(small_log))).log_time * 1e-9
     terminal, stdin = pty.openpty()
-    command = [sys.executable, "-m", "defgrasp_ros.cli", "replay", str(small_log), "--pause", "--rate", "20"]
-    with subprocess.Popen([*command, "--wait", "0"], stdin=stdin) as replay:
+    command = [sys.executable, "-m", "defgrasp_ros.cli", "replay", str(small_log), "--pause", "--clock"]
+    with subprocess.Popen(command, stdin=stdin) as replay:
         try:
-            with pytest.raises(subprocess.TimeoutExpired):
-                replay.wait(5.0)
-            os.write(terminal, b"x")
-            pressed = time.monotonic()
-            os.write(terminal, b" ")
+            heard_until(collector, f"clock {start}", count=5)
+            os.write(terminal, b"x ")
+            heard = heard_until(collector, "description end")
             assert replay.wait(TIMEOUT) == 0
         finally:
             replay.kill()
-    heard = heard_until(collector, "description end")
     os.close(stdin)
     os.close(terminal)
-    assert heard[0][1] == "description gripper"
-    assert all(at > pressed for at, _ in heard)
+    texts = [text for text in heard if not text.startswith("clock")]
+    assert texts == ["description gripper", *(f"joints {number}" for number in range(10)), "description end"]
 
 
 @pytest.mark.parametrize(

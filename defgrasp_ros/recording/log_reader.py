@@ -6,7 +6,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -184,6 +184,11 @@ def mcap_file(path: Path) -> Path:
 
 
 def _topic(channel: Channel, schema: Schema) -> LoggedTopic:
-    profiles = yaml.safe_load(channel.metadata.get("offered_qos_profiles", "")) or [{}]
+    qos = _first_profile(channel.metadata.get("offered_qos_profiles", ""))
     type_hash = channel.metadata.get("topic_type_hash", "")
-    return LoggedTopic(channel.topic, schema.name, type_hash, profiles[0], schema, channel.message_encoding)
+    return LoggedTopic(channel.topic, schema.name, type_hash, qos, schema, channel.message_encoding)
+
+
+@cache
+def _first_profile(text: str) -> dict[str, Any]:
+    return (yaml.safe_load(text) or [{}])[0]

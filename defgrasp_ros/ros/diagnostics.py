@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 import sys
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 
+from defgrasp_ros.ros.outputs import Outputs
 from defgrasp_ros.ros.parameters import log_directory, parameter_values
 
 INTERVAL = 1.0
@@ -22,6 +24,9 @@ LOW_SPACE = 2e9
 NO_SPACE = 1e8
 """Free space below which there is an error [B]."""
 
+LONG_WAIT = 1.0
+"""Time spent on waiting for the disk above which there is a warning [s]."""
+
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
@@ -30,6 +35,7 @@ class Diagnostics:
 
     Args:
         node: Has the parameters.
+        outputs: Knows about the log of the present run.
         device_problem: Tells why the device cannot be used; empty where it can, None before the configuration.
         queued_count: Tells how many requests wait.
         last_failure: Tells when and why a run failed; empty where none did.
@@ -38,11 +44,13 @@ class Diagnostics:
     def __init__(
         self,
         node: Node,
+        outputs: Outputs,
         device_problem: Callable[[], str | None],
         queued_count: Callable[[], int],
         last_failure: Callable[[], str],
     ) -> None:
         self._node = node
+        self._outputs = outputs
         self._device_problem = device_problem
         self._queued_count = queued_count
         self._last_failure = last_failure
@@ -63,6 +71,7 @@ class Diagnostics:
             "device": self._device(device),
             "queue": self._queue(int(parameters["max_queued_goals"])),
             "last run": self._last_run(),
+            "recording": self._recording(),
             "logs": _space(log_directory(parameters), needed=bool(parameters["record.enabled"])),
             "kernel cache": _kernel_cache(),
         }
@@ -90,6 +99,18 @@ class Diagnostics:
         count = self._queued_count()
         full = count >= most > 0
         return (WARN if full else OK), f"{count} wait", {"queued_goals": count, "max_queued_goals": most}
+
+    def _recording(self) -> tuple[bytes, str, dict]:
+        """Return how the log of the present run is doing."""
+        statistics, problem = self._outputs.log_statistics, self._outputs.log_problem
+        values = dataclasses.asdict(statistics) if statistics else {}
+        if problem:
+            return WARN, problem, values
+        if statistics is None:
+            return OK, "nothing is being logged", values
+        if statistics.waiting_time > LONG_WAIT:
+            return WARN, f"the run has waited {statistics.waiting_time:.1f} s for the disk", values
+        return OK, f"{statistics.message_count} messages", values
 
     def _last_run(self) -> tuple[bytes, str, dict]:
         failure = self._last_failure()

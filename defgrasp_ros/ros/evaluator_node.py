@@ -65,6 +65,7 @@ class EvaluatorNode(ManagedNode):
         ObjectServices(self, self._registry)
         Diagnostics(
             self,
+            self._outputs,
             self._device_problem,
             lambda: self._queue.waiting_count,
             lambda: self._evaluator.last_failure,

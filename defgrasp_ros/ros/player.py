@@ -17,7 +17,7 @@ from defgrasp_ros.errors import InvalidOptionsError, RecordingError
 from defgrasp_ros.recording.definitions import message_definition
 from defgrasp_ros.recording.log_reader import LoggedTopic, LogReader, RawMessage
 from defgrasp_ros.recording.log_summary import LogSummary, summarize_log
-from defgrasp_ros.recording.topic import Topic
+from defgrasp_ros.recording.topic import UNLIMITED, Topic
 from defgrasp_ros.ros.fields import NANOSECONDS, time_message
 from defgrasp_ros.ros.playback_timer import PlaybackTimer
 from defgrasp_ros.ros.topics import qos_profile
@@ -198,7 +198,13 @@ def replayed_topic(logged: LoggedTopic) -> Topic:
         depth=int(qos.get("depth", 10)),
         latched=qos.get("durability") == "transient_local",
         reliable=qos.get("reliability") != "best_effort",
+        lease=_lease(qos.get("liveliness_lease_duration", UNLIMITED)),
     )
+
+
+def _lease(duration: dict[str, int]) -> float:
+    """Return a duration in the words of rosbag2 as that of a topic [s]."""
+    return 0.0 if duration == UNLIMITED else duration["sec"] + duration["nsec"] / NANOSECONDS
 
 
 def log_time_at(summary: LogSummary, offset: float) -> int:

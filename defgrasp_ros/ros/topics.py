@@ -25,6 +25,7 @@ STATUS = Topic(
     EvaluatorStatus,
     1,
     latched=True,
+    lease=3.0,
     description="What the evaluator is doing: on change, and once a second",
 )
 EVALUATIONS = Topic(
@@ -85,10 +86,6 @@ LOGGED = (*PUBLISHED, REQUEST)
 EVERY_FEEDBACK = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 """Of the feedback of the action: many grasps may end at the same instant."""
 
-STATUS_LEASE = Duration(seconds=3.0)
-"""A process that does not vouch for its status for so long is dead."""
-
-
 def qos_profile(topic: Topic) -> QoSProfile:
     """Return the quality of service with which a topic is published."""
     return QoSProfile(
@@ -97,7 +94,7 @@ def qos_profile(topic: Topic) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE if topic.reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE,
         liveliness=LivelinessPolicy.AUTOMATIC,
-        liveliness_lease_duration=STATUS_LEASE if topic is STATUS else Duration(),
+        liveliness_lease_duration=Duration(seconds=topic.lease),
     )
 
 
