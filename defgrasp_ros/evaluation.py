@@ -7,13 +7,14 @@ Names are those of the messages in ``defgrasp_interfaces``; the paper's short na
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 
 import numpy as np
 
 from defgrasp_ros.errors import InvalidOptionsError, ResultCode
+from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.option import option, options_of
 
 FINGER_NAMES = ("left_finger", "right_finger")
@@ -179,6 +180,7 @@ class FingerContact:
     normals: np.ndarray
     forces: np.ndarray
     slipping: bool = False
+    """Whether the object slides on this finger as a whole: the resistance of its patch is used up."""
 
     @property
     def count(self) -> int:
@@ -237,6 +239,31 @@ class DeformedState:
 
 
 @dataclass
+class PickupCourse:
+    """The pickup over time, from the start of the squeeze to the end of the hold or the loss; shape ``(sample,)`` each.
+
+    Sampled at ``EvaluationObserver.sample_interval``.
+    """
+
+    time: np.ndarray
+    """Since the start of the squeeze [s]."""
+    phase: np.ndarray
+    """Values of :class:`Phase`: SQUEEZE, LOWER_PLATFORM, HOLD."""
+    opening: np.ndarray
+    """Distance of each pad face from the grasp frame's origin [m]."""
+    left_normal_force: np.ndarray
+    """Sum of the normal forces of the left pad [N]."""
+    right_normal_force: np.ndarray
+    """The same of the right pad [N]."""
+    platform_force: np.ndarray
+    """Normal force of the platform [N]."""
+    slip: np.ndarray
+    """How far the gripped nodes moved along the pads since the target force was reached, mean [m]; nan before."""
+    max_von_mises_stress: np.ndarray
+    """Largest von Mises stress [Pa]."""
+
+
+@dataclass
 class AccelerationResult:
     """How a grasp did in the linear or the angular acceleration test; one entry per direction, shape ``(16,)``."""
 
@@ -245,7 +272,8 @@ class AccelerationResult:
     at_loss: np.ndarray
     """Acceleration at which a finger lost contact [m/s^2 or rad/s^2]; nan where the reason says why."""
     at_slip: np.ndarray
-    """Acceleration at which all points of both fingers first slid [m/s^2 or rad/s^2]; nan where they did not."""
+    """Acceleration at which the object began to slide on both fingers as a whole [m/s^2 or rad/s^2]; nan where it did
+    not before the loss or the end."""
     is_lower_bound: np.ndarray
     """Whether contact was kept up to the end of the test, which then stands in ``at_loss``."""
     reasons: list[str]
@@ -324,14 +352,30 @@ class GraspEvaluation:
     """The same, as measured when the features were taken [N]."""
     contacts: tuple[FingerContact, FingerContact] | None = None
     """Left and right finger at the end of the hold, or at the target force where the hold failed; None before that."""
+    palm_force: np.ndarray = field(default_factory=lambda: np.full(3, NAN))
+    """Force of the palm on the object at the instant of ``contacts`` [N], object frame, shape ``(3,)``; 0 where it does
+    not touch."""
     slip_distance: float = NAN
-    """How far the gripped nodes moved along the pads from the target force to the end of the hold, mean [m]."""
+    """How far the gripped nodes moved along the pads while the object was held, mean [m]: from the moment the platform
+    had gone to the end of the hold, or to the loss."""
     holding_time: float = NAN
     """How long both fingers kept contact after the platform had gone [s]; the hold time where all came to rest."""
+    loss_of_contact_time: float = NAN
+    """From the moment the platform began to sink until a finger lost contact for good [s]; nan: not lost."""
+    stress_error: float = NAN
+    """Estimate of the discretisation error of the stress at the end of the hold [Pa]: the uniaxial stress whose energy,
+    all over the object, is that of the error."""
+    deformation_error: float = NAN
+    """Estimate of the discretisation error of ``metrics.max_deformation`` [m]."""
     simulated_time: float = 0.0
+    """Of this grasp, all experiments and directions together [s], without the settling that all grasps share."""
+    end_time: float = 0.0
+    """Simulated time of the run when all about the grasp was known [s]; its message has it in the stamp only."""
     wall_time: float = 0.0
     """Time [s] until this grasp's evaluation ended; grasps of a batch share it."""
     solver: SolverReport = field(default_factory=SolverReport)
+    pickup: PickupCourse | None = None
+    """None where the pads closed on nothing."""
     reorientation: ReorientationResult | None = None
     """None where the experiment was not asked for, or not begun since the object was not picked up."""
     linear_acceleration: AccelerationResult | None = None
@@ -342,11 +386,29 @@ class GraspEvaluation:
 
 
 @dataclass
+class NodalFields:
+    """Shape and stress at one instant, one value per node of the mesh."""
+
+    positions: np.ndarray
+    """In the object frame [m], shape ``(node, 3)``."""
+    displacement: np.ndarray
+    """Distance from the pre-contact shape, rigid motion removed [m], shape ``(node,)``; its largest value is what
+    ``max_deformation`` measures."""
+    von_mises_stress: np.ndarray
+    """Mean of the adjacent elements, weighted by volume [Pa], shape ``(node,)``."""
+
+
+@dataclass
 class GraspSample:
     """The state of one running grasp, as published and recorded while the simulation runs."""
 
     grasp_index: int
     grasp_id: str
+    grasp: Grasp
+    """Where the hand is, on the settled object."""
+    experiment: Experiment
+    direction: int | None
+    """Which of the directions this is, of an experiment that has several; else None."""
     phase: Phase
     time: float
     """Simulated time since the start of the run [s]."""
@@ -357,8 +419,19 @@ class GraspSample:
     closing_force: float
     """Force with which the drive closes the pair of fingers [N], sum of both."""
     contacts: tuple[FingerContact, FingerContact]
+    palm: FingerContact
+    """What the palm feels."""
     platform_force: float
     """Normal force of the platform on the object [N]."""
+    platform_height: float
+    """Surface of the platform [m]; nan once it is gone."""
+    read_fields: Callable[[], NodalFields]
+    """Reads shape and stress from the simulator; only while the observer is being told of the sample."""
+
+    @property
+    def palm_force(self) -> np.ndarray:
+        """Force of the palm on the object [N], shape ``(3,)``."""
+        return self.palm.forces.sum(axis=0)
 
 
 @dataclass
@@ -375,20 +448,26 @@ class Progress:
 class EvaluationObserver:
     """Follows a running evaluation; override what you need. Called in the thread that simulates.
 
-    ``sample_interval`` is the simulated time between two calls of ``on_sample`` per grasp [s].
+    ``sample_interval`` is the simulated time between two calls of ``on_samples`` [s]; ``sample_direction`` says which
+    direction is sampled in experiments that try each grasp in several at once.
     """
 
     sample_interval = 0.02
+    sample_direction = 0
 
     def on_progress(self, progress: Progress) -> None:
         """The run got further."""
 
-    def on_sample(self, sample: GraspSample) -> None:
-        """The state of one grasp that still runs."""
+    def wants_samples(self) -> bool:
+        """Whether ``on_samples`` has a use for the present state; reading it from the simulator costs time."""
+        return True
+
+    def on_samples(self, samples: Sequence[GraspSample]) -> None:
+        """The present state of every grasp that is being simulated, at least one, in the order of the grasps."""
 
     def on_evaluation(self, evaluation: GraspEvaluation) -> None:
         """One grasp is finished."""
 
     def should_stop(self) -> bool:
-        """Whether the run should end now; grasps not finished come back with code CANCELED."""
+        """Whether the run is canceled; grasps not finished come back with code CANCELED."""
         return False

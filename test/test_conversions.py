@@ -33,8 +33,7 @@ from defgrasp_ros.evaluation import (
     GraspEvaluation,
     GraspFeatures,
     GraspMetrics,
-    GraspSample,
-    Phase,
+    PickupCourse,
     ReorientationResult,
     SolverReport,
     SqueezeResult,
@@ -61,8 +60,7 @@ from defgrasp_ros.ros.request_conversion import (  # noqa: E402
     options_from_message,
     options_to_message,
 )
-from defgrasp_ros.ros.result_conversion import evaluation_from_message, evaluation_to_message  # noqa: E402
-from defgrasp_ros.ros.state_conversion import sample_to_contact_state, sample_to_joint_state  # noqa: E402
+from defgrasp_ros.ros.result_conversion import NUMBERS, evaluation_from_message, evaluation_to_message  # noqa: E402
 
 BLOCK = box((0.04, 0.03, 0.02), (2, 2, 1))
 LIMIT = 10_000
@@ -276,8 +274,12 @@ def test_evaluation_survives_the_message() -> None:
         target_force=2.0,
         applied_force=1.99,
         contacts=(contact("left_finger", 2), contact("right_finger", 0)),
+        palm_force=np.array([0.1, -0.2, 0.3]),
         slip_distance=0.001,
         holding_time=1.25,
+        loss_of_contact_time=2.5,
+        stress_error=150.0,
+        deformation_error=1e-5,
         simulated_time=3.5,
         wall_time=0.75,
         solver=SolverReport(False, 10, 20, 1e-9, 1, 2),
@@ -288,8 +290,9 @@ def test_evaluation_survives_the_message() -> None:
     assert (message.header.stamp, message.header.frame_id) == (STAMP, "object")
     for name in ("grasp_index", "grasp_id", "code", "message", "features", "metrics", "solver"):
         assert getattr(back, name) == getattr(evaluation, name)
-    for name in ("target_force", "applied_force", "slip_distance", "holding_time", "simulated_time", "wall_time"):
+    for name in NUMBERS:
         assert getattr(back, name) == getattr(evaluation, name)
+    np.testing.assert_array_equal(back.palm_force, evaluation.palm_force)
     assert back.contacts is not None
     for contact_back, contact_there in zip(back.contacts, evaluation.contacts, strict=True):
         assert (contact_back.name, contact_back.slipping) == (contact_there.name, contact_there.slipping)
@@ -313,6 +316,7 @@ def test_experiments_survive_the_message() -> None:
     evaluation = GraspEvaluation(
         0,
         "top",
+        pickup=PickupCourse(squeezed[0], np.array([3, 3, 5]), *squeezed[1:], squeezed[0], squeezed[1]),
         reorientation=ReorientationResult(directions, 2.5, *turned, reasons, {(3, 1): state, (15, 3): state}),
         linear_acceleration=AccelerationResult(directions, some, some + 1.0, some > 10.0, reasons),
         angular_acceleration=AccelerationResult(directions, some + 2.0, some, some > 5.0, reasons),
@@ -321,7 +325,7 @@ def test_experiments_survive_the_message() -> None:
         ),
     )
     back = evaluation_from_message(evaluation_to_message(evaluation, STAMP))
-    for name in ("reorientation", "linear_acceleration", "angular_acceleration", "squeeze"):
+    for name in ("pickup", "reorientation", "linear_acceleration", "angular_acceleration", "squeeze"):
         result, there = getattr(back, name), getattr(evaluation, name)
         for field in dataclasses.fields(there):
             if field.name not in ("states", "contacts"):
@@ -340,27 +344,9 @@ def test_evaluation_that_measured_nothing_survives_the_message() -> None:
     back = evaluation_from_message(evaluation_to_message(GraspEvaluation(0, ""), STAMP))
     assert back.contacts is None
     assert back.reorientation is back.linear_acceleration is back.angular_acceleration is back.squeeze is None
+    assert back.pickup is None and np.isnan(back.palm_force).all()
     assert math.isnan(back.metrics.strain_energy)
     assert math.isnan(back.target_force)
-
-
-def test_sample_becomes_joints_and_contacts() -> None:
-    """Both fingers share opening and force; sums over contacts are those of the sample."""
-    fingers = (contact("left_finger", 2), contact("right_finger", 1))
-    sample = GraspSample(4, "top", Phase.SQUEEZE, 0.5, 0.02, -0.01, 3.0, fingers, platform_force=0.7)
-    joints = sample_to_joint_state(sample, STAMP)
-    assert list(joints.name) == ["left_finger_joint", "right_finger_joint"]
-    assert list(joints.position) == [0.02, 0.02]
-    assert list(joints.velocity) == [-0.01, -0.01]
-    assert list(joints.effort) == [1.5, 1.5]
-    assert joints.header.frame_id == "top"
-    contacts = sample_to_contact_state(sample, STAMP)
-    assert (contacts.grasp_id, contacts.grasp_index, contacts.platform_force) == ("top", 4, 0.7)
-    assert [finger.count for finger in contacts.fingers] == [2, 1]
-    left = contacts.fingers[0]
-    assert left.normal_force == pytest.approx(1.5 + 4.5)
-    assert (left.tangential_force.x, left.tangential_force.y) == pytest.approx((0.5 + 3.5, 0.0))
-    assert contacts.normal_force == pytest.approx(sum(finger.normal_force for finger in fingers))
 
 
 def test_parameter_file_is_that_of_the_table() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from threading import Thread
@@ -160,6 +161,32 @@ def test_log_that_cannot_be_written_does_not_stop_the_evaluation(node: Evaluator
     answer = ask()
     assert answer.log_path is not None
     assert "not logged" not in answer.message
+
+
+def test_log_that_reaches_its_size_ends_and_the_evaluation_goes_on(node: EvaluatorNode, tmp_path: Path) -> None:
+    """The grasp is evaluated, the text tells the limit, and what is in the log can be read."""
+    set_parameter(node, "record.max_size", 0.3)
+    answer = ask(object_name=os.urandom(300_000).hex())
+    assert answer.code == ResultCode.OK
+    assert "the log is not complete" in answer.message
+    assert "largest size, 0.3 MB" in answer.message
+    (log,) = tmp_path.glob("logs/*/*.mcap")
+    assert log.stat().st_size <= 300_000
+    assert read_log(log).complete
+    set_parameter(node, "record.max_size", 0.0)
+    assert "not complete" not in ask().message
+
+
+def test_only_the_topics_asked_for_are_logged(node: EvaluatorNode, tmp_path: Path) -> None:
+    """A log holds the named topics and the request; a name that no topic has is refused."""
+    set_parameter(node, "record.topics", "evaluations, ~/status")
+    answer = ask()
+    assert answer.log_path is not None
+    names = {entry.topic.rpartition("/")[2] for entry in read_log(answer.log_path).messages}
+    assert names == {"request", "evaluations", "status"}
+    (result,) = node.set_parameters([Parameter("record.topics", value="evaluation")])
+    assert not result.successful
+    assert "no topic 'evaluation'" in result.reason
 
 
 def test_log_can_be_switched_off(node: EvaluatorNode, tmp_path: Path) -> None:

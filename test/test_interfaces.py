@@ -17,6 +17,7 @@ from defgrasp_ros.evaluation import (
     GraspFeatures,
     GraspMetrics,
     Phase,
+    PickupCourse,
     ReorientationResult,
     SolverReport,
     SqueezeResult,
@@ -70,6 +71,7 @@ def test_status_phases_are_the_phases():
         ("GraspMetrics", GraspMetrics),
         ("Material", Material),
         ("ObjectField", DeformedState),
+        ("PickupCourse", PickupCourse),
         ("ReorientationResult", ReorientationResult),
         ("SolverReport", SolverReport),
         ("SqueezeResult", SqueezeResult),
@@ -86,8 +88,9 @@ def test_options_have_the_fields_of_the_data_class():
 
 
 def test_evaluation_has_the_fields_of_the_data_class():
-    """The message packs code and text into a result and adds a header; all else has its name."""
-    assert set(fields("GraspEvaluation")) - {"header", "result"} == attributes(GraspEvaluation) - {"code", "message"}
+    """The message packs code and text into a result, the time of the end into a header; all else has its name."""
+    packed = {"code", "message", "end_time"}
+    assert set(fields("GraspEvaluation")) - {"header", "result"} == attributes(GraspEvaluation) - packed
 
 
 def test_finger_contact_has_the_fields_and_sums_of_the_data_class():
@@ -105,7 +108,7 @@ def test_material_defaults_are_those_of_the_data_class():
 
 def test_every_definition_is_generated():
     """No definition is forgotten in the build file."""
-    listed = re.findall(r"^ +((?:msg|srv)/\S+)$", (DEFINITIONS / "CMakeLists.txt").read_text(), re.MULTILINE)
+    listed = re.findall(r"^ +((?:action|msg|srv)/\S+)$", (DEFINITIONS / "CMakeLists.txt").read_text(), re.MULTILINE)
     present = [path.relative_to(DEFINITIONS).as_posix() for path in DEFINITIONS.glob("*/*.*")]
     assert sorted(listed) == sorted(present)
 

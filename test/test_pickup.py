@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from defgrasp_ros.errors import EmptyGraspListError, ResultCode
+from defgrasp_ros.errors import EmptyGraspListError, InvalidOptionsError, ResultCode
 from defgrasp_ros.evaluation import EvaluationObserver, EvaluationOptions, GraspEvaluation, Phase
 from defgrasp_ros.experiments import evaluate, evaluate_grasps
 from defgrasp_ros.grasp import Grasp
@@ -39,8 +39,8 @@ class Witness(EvaluationObserver):
     def on_progress(self, progress):
         self.progress.append(progress)
 
-    def on_sample(self, sample):
-        self.samples.append(sample)
+    def on_samples(self, samples):
+        self.samples += samples
 
     def on_evaluation(self, evaluation):
         self.evaluations.append(evaluation)
@@ -162,6 +162,77 @@ def test_the_observer_sees_the_run(run):
     assert settled.platform_force + pads == pytest.approx(model.weight, rel=1e-4)
 
 
+def test_observing_changes_nothing():
+    """An observer that wants no samples gets none, and the results are bit by bit those of one that reads all."""
+
+    class Blind(Witness):
+        def wants_samples(self):
+            return False
+
+    class Reader(Witness):
+        def on_samples(self, samples):
+            self.samples += [sample.read_fields() for sample in samples]
+
+    blind, reader = Blind(), Reader()
+    short = EvaluationOptions(pickup_hold_time=0.1, squeeze_time=0.05, platform_speed=1.0)
+    for observer in (blind, reader):
+        evaluate_grasps(block(), [grasp("held")], load_gripper(), short, observer=observer)
+    assert not blind.samples and reader.samples
+    (unseen,), (seen,) = blind.evaluations, reader.evaluations
+    assert (unseen.metrics, unseen.features, unseen.solver) == (seen.metrics, seen.features, seen.solver)
+
+
+def test_fields_of_the_last_sample_are_those_of_the_metrics():
+    """Displacement and stress that are shown at the end of the hold lead to the evaluation's own numbers."""
+
+    class Reader(EvaluationObserver):
+        def on_samples(self, samples):
+            self.fields = samples[0].read_fields()
+
+    model, reader = block(), Reader()
+    (evaluation,) = evaluate_grasps(model, [grasp("held")], load_gripper(), OPTIONS, observer=reader)
+    assert reader.fields.displacement.max() == pytest.approx(evaluation.metrics.max_deformation, rel=1e-2)
+    np.testing.assert_allclose(reader.fields.positions, evaluation.fields["post_pickup"].positions, atol=1e-5)
+    nodal = model.mesh.nodal_mean(evaluation.fields["post_pickup"].von_mises_stress)
+    np.testing.assert_allclose(reader.fields.von_mises_stress, nodal, rtol=2e-2)
+def test_the_course_of_a_pickup(run):
+    """Time rises; both pads carry the target force in the hold, the platform the weight before and nothing then."""
+    model, evaluations, _ = run
+    course, target = evaluations[0].pickup, evaluations[0].target_force
+    assert (np.diff(course.time) > 0.0).all()
+    assert list(dict.fromkeys(course.phase)) == [Phase.SQUEEZE, Phase.LOWER_PLATFORM, Phase.HOLD]
+    assert (np.diff(course.opening[course.phase == Phase.SQUEEZE]) <= 0.0).all()
+    held = course.phase == Phase.HOLD
+    np.testing.assert_allclose((course.left_normal_force + course.right_normal_force)[held], target, rtol=1e-2)
+    assert course.platform_force[0] == pytest.approx(model.weight, rel=0.1)
+    assert (course.platform_force[held] == 0.0).all()
+    assert np.isnan(course.slip[0]) and 0.0 <= course.slip[-1] < 1e-3
+    assert course.max_von_mises_stress[-1] == pytest.approx(evaluations[0].metrics.max_von_mises_stress, rel=0.05)
+
+
+def test_when_and_how_far_a_dropped_object_slips(run):
+    """The time of the loss is there for what was lost alone; what was held has hardly slipped."""
+    _, evaluations, _ = run
+    held, dropped, missed = evaluations[:3]
+    assert math.isnan(held.loss_of_contact_time) and 0.0 <= held.slip_distance < 1e-3
+    lowering = dropped.pickup.time[dropped.pickup.phase == Phase.LOWER_PLATFORM][0]
+    interval = Witness.sample_interval
+    assert lowering + dropped.loss_of_contact_time == pytest.approx(dropped.pickup.time[-1], abs=2.0 * interval)
+    assert dropped.pickup.slip[-1] > 1e-3
+    assert missed.pickup is None and math.isnan(missed.slip_distance) and math.isnan(missed.loss_of_contact_time)
+
+
+def test_palm_and_pads_carry_the_weight():
+    """A block on the palm of a hand from below: pads and palm together balance the weight, pads do not."""
+    model, pads = block(), load_gripper()
+    upside_down = grasp("on the palm", position=(0.0, 0.0, -0.015 - pads.palm.face), orientation=(0.0, 0.0, 0.0, 1.0))
+    (evaluation,) = evaluate_grasps(model, [upside_down], pads, OPTIONS)
+    assert evaluation.code is ResultCode.OK
+    carried = sum(finger.forces.sum(axis=0) for finger in evaluation.contacts)
+    assert evaluation.palm_force[2] > 0.1 * model.weight
+    np.testing.assert_allclose(carried + evaluation.palm_force, [0.0, 0.0, model.weight], atol=1e-3 * model.weight)
+
+
 def test_closing_along_gravity():
     """A grasp with vertical closing axis: the lower pad carries the weight on top of the squeeze."""
     model = block(extents=(0.03, 0.03, 0.02))
@@ -230,7 +301,7 @@ def test_batches_give_what_one_batch_gives(monkeypatch):
     """More grasps than fit into a batch come out as they do together."""
     model, grasps = block(2e5), [grasp(str(i), position=(0.0, 0.0, 0.002 * i)) for i in range(3)]
     together = evaluate_grasps(model, grasps, load_gripper(), OPTIONS)
-    monkeypatch.setattr(evaluate, "MAX_BATCH", 2)
+    monkeypatch.setitem(evaluate.MAX_BATCH, "cpu", 2)
     apart = evaluate_grasps(model, grasps, load_gripper(), OPTIONS)
     for one, other in zip(together, apart, strict=True):
         assert one.code is other.code and one.grasp_index == other.grasp_index
@@ -252,6 +323,22 @@ def test_stopping_keeps_what_is_finished():
     grasps = [grasp("held"), grasp("beside", position=(0.06, 0.0, 0.0))]
     evaluations = evaluate_grasps(block(), grasps, load_gripper(), OPTIONS, observer=Impatient())
     assert [e.code for e in evaluations] == [ResultCode.CANCELED, ResultCode.NO_CONTACT]
+
+
+def test_time_limit_keeps_what_is_finished():
+    """Once the time is over, what was not finished is marked as timed out; what failed before keeps its reason."""
+    grasps = [grasp("held"), grasp("beside", position=(0.06, 0.0, 0.0))]
+    evaluations = evaluate_grasps(block(), grasps, load_gripper(), OPTIONS, time_limit=1e-6)
+    assert [e.code for e in evaluations] == [ResultCode.TIMEOUT, ResultCode.NO_CONTACT]
+    assert evaluations[0].message == "stopped at the time limit of 1e-06 s before this grasp was finished"
+    assert np.isnan(evaluations[0].metrics.max_von_mises_stress)
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, np.nan])
+def test_time_limit_without_meaning_is_an_error(limit):
+    """A time limit that is no positive number is refused by name."""
+    with pytest.raises(InvalidOptionsError, match="time_limit"):
+        evaluate_grasps(block(), [grasp("held")], load_gripper(), OPTIONS, time_limit=limit)
 
 
 def test_no_grasp_is_an_error():

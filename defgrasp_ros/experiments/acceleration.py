@@ -12,11 +12,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from defgrasp_ros.evaluation import AccelerationResult, EvaluationOptions, Experiment, GraspEvaluation, Phase
+from defgrasp_ros.evaluation import (
+    FINGER_NAMES,
+    AccelerationResult,
+    EvaluationOptions,
+    Experiment,
+    GraspEvaluation,
+    Phase,
+)
 from defgrasp_ros.experiments.batch import GraspBatch, chunks, no_solution
 from defgrasp_ros.experiments.candidate import Candidate
 from defgrasp_ros.experiments.directions import DIRECTION_COUNT, sphere_directions
-from defgrasp_ros.experiments.force_ramp import Failure, load_free, ramp_closing_force
+from defgrasp_ros.experiments.force_ramp import load_free, ramp_closing_force
+from defgrasp_ros.experiments.interruption import Failure
+from defgrasp_ros.simulation.gross_slip import GROSS_SLIP_SHARE
 from defgrasp_ros.simulation.shard import WorldSnapshot
 from defgrasp_ros.simulation.simulator import Simulator
 
@@ -96,6 +105,14 @@ class _Run:
         self.at_slip = np.nan
         self.is_lower_bound = False
         self.reason = ""
+        self._share_used = 0.0
+
+    def note_friction(self, share_used: float, last: float, acceleration: float) -> None:
+        """Find out whether gross slip began while the acceleration rose from ``last``; it is taken to rise evenly."""
+        if np.isnan(self.at_slip) and share_used > GROSS_SLIP_SHARE:
+            rise = (GROSS_SLIP_SHARE - self._share_used) / (share_used - self._share_used)
+            self.at_slip = last + rise * (acceleration - last)
+        self._share_used = share_used
 
 
 class AccelerationTest:
@@ -134,6 +151,14 @@ class AccelerationTest:
             )
             self.kind.put(candidate.evaluation, result)
 
+    def _mobilised_friction(self, runs: list[_Run], worlds: np.ndarray) -> np.ndarray:
+        """Used share of the friction of that finger which holds better [-], shape ``(n,)``; 1 once the object slid."""
+        holding = np.flatnonzero([np.isnan(run.at_slip) for run in runs])
+        shares = np.ones(len(runs))
+        for row, forces in zip(holding, self.simulator.contact_forces(worlds[holding]), strict=True):
+            shares[row] = min(forces.mobilised_friction(pad) for pad in range(len(FINGER_NAMES)))
+        return shares
+
     def _ramp(self, runs: list[_Run], done: float, share: float) -> None:
         """Raise the acceleration until each run has lost the object, or the end of the test is reached."""
         count = len(runs)
@@ -147,40 +172,42 @@ class AccelerationTest:
         normal = self.simulator.normal_forces(worlds)[:, :2]
         before, acceleration, velocity = normal.copy(), 0.0, 0.0
         active = np.arange(count)
-        while len(active) and not self.batch.canceled():
+        while len(active) and not self.batch.interrupted():
             last = acceleration
             acceleration = min(last + self.jerk * self.h, self.limit)
             velocity += self.h * acceleration
-            self.kind.apply(
-                self.simulator, worlds[active], directions[active], centres[active], acceleration, velocity
-            )
-            report = self.simulator.step(
-                worlds[active], self.h, forces[active], heights[active], quasi_static=False
-            )
+            self.kind.apply(self.simulator, worlds[active], directions[active], centres[active], acceleration, velocity)
+            report = self.simulator.step(worlds[active], self.h, forces[active], heights[active], quasi_static=False)
             self.batch.time += self.h
             now = self.simulator.normal_forces(worlds[active])[:, :2]
-            sliding = self.simulator.sliding(worlds[active]).all(axis=1)
+            self.batch.sample(
+                worlds[active],
+                now.sum(axis=1),
+                [runs[i].candidate for i in active],
+                np.array([runs[i].number for i in active]),
+            )
+            share_used = self._mobilised_friction([runs[i] for i in active], worlds[active])
             goes_on = np.ones(len(active), dtype=bool)
             for row, i in enumerate(active):
                 run = runs[i]
-                run.candidate.count_step(report, row)
+                run.candidate.count_step(report, row, self.h)
                 lost = now[row] <= thresholds[i]
                 if not report.converged[row]:
                     run.reason = no_solution(report, row, self.batch.time)
                 elif lost.any():
                     finger = int(np.argmin(now[row]))
                     run.at_loss = _crossing(before[i, finger], normal[i, finger], last, acceleration)
-                elif acceleration >= self.limit:
-                    run.at_loss, run.is_lower_bound = self.limit, True
-                elif np.isnan(run.at_slip) and sliding[row]:
-                    run.at_slip = acceleration
+                else:
+                    run.note_friction(share_used[row], last, acceleration)
+                    if acceleration >= self.limit:
+                        run.at_loss, run.is_lower_bound = self.limit, True
                 goes_on[row] = not run.reason and np.isnan(run.at_loss)
             before[active], normal[active] = normal[active], now
             active = active[goes_on]
             fraction = done + share * acceleration / self.limit
             self.batch.progress(self.kind.experiment, Phase.ACCELERATE, fraction, len(active))
         for i in active:
-            runs[i].reason = "canceled"
+            runs[i].reason = self.batch.interrupted().message
 
 
 def fingertip_midpoint(candidate: Candidate, tip: float) -> np.ndarray:

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from defgrasp_ros.errors import ResultCode
 from defgrasp_ros.evaluation import (
-    FINGER_NAMES,
     EvaluationObserver,
     EvaluationOptions,
     Experiment,
     GraspEvaluation,
-    GraspSample,
     Phase,
     Progress,
 )
 from defgrasp_ros.experiments.candidate import Candidate
+from defgrasp_ros.experiments.discretisation_error import StressRecovery
+from defgrasp_ros.experiments.interruption import Failure, Interruption
+from defgrasp_ros.experiments.metrics import von_mises_stress
 from defgrasp_ros.experiments.settling import SettledObject
+from defgrasp_ros.experiments.state_sampler import StateSampler
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.simulation.simulator import Simulator
 from defgrasp_ros.simulation.stepper import StepReport
@@ -40,46 +43,51 @@ WORK_SHARE = {
 """Rough work of the experiments relative to each other, in the order in which they are done [-]."""
 
 
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What all batches of an evaluation share."""
+
+    simulator: Simulator
+    """With at least one world per grasp of a batch."""
+    settled: SettledObject
+    """The object on the platform."""
+    options: EvaluationOptions
+    observer: EvaluationObserver
+    interruption: Interruption
+    stress_recovery: StressRecovery
+    grasp_count: int
+
+
 class GraspBatch:
     """Grasps that are simulated together; candidate i is in world i during the pickup.
 
     Args:
-        simulator: With at least one world per grasp.
-        settled: The object on the platform.
+        run: Object, options and observer.
         grasps: By index in the whole evaluation.
-        options: Constants of the protocol.
-        observer: Is told what happens.
-        total: Number of grasps in the whole evaluation.
         start_time: Simulated time so far [s].
     """
 
-    def __init__(
-        self,
-        simulator: Simulator,
-        settled: SettledObject,
-        grasps: dict[int, Grasp],
-        options: EvaluationOptions,
-        observer: EvaluationObserver,
-        total: int,
-        start_time: float,
-    ):
-        self.simulator = simulator
-        self.settled = settled
-        self.model = simulator.model
-        self.gripper = simulator.gripper
-        self.options = options
-        self.observer = observer
-        self.total = total
+    def __init__(self, run: Run, grasps: dict[int, Grasp], start_time: float):
+        self.run = run
+        self.simulator = run.simulator
+        self.settled = run.settled
+        self.options = run.options
+        self.observer = run.observer
+        self.model = self.simulator.model
+        self.gripper = self.simulator.gripper
         self.time = start_time
+        self.experiment = Experiment.PICKUP
+        """What is being done."""
         self._started = time.monotonic()
-        self._stopped = False
-        self._next_sample = start_time
-        default_force = self.model.default_target_force(options.force_safety_factor)
+        self._sampler = StateSampler(self.simulator, self.settled, self.observer)
+        self._next_record = start_time
+        default_force = self.model.default_target_force(self.options.force_safety_factor)
         self.candidates = []
         for index, grasp in grasps.items():
             target = default_force if grasp.target_force is None else grasp.target_force
             evaluation = GraspEvaluation(index, grasp.id or str(index), target_force=target)
-            self.candidates.append(Candidate(settled.follow(grasp), target, evaluation, settled.platform_height))
+            height = self.settled.platform_height
+            self.candidates.append(Candidate(self.settled.follow(grasp), target, evaluation, height))
 
     def asks_for(self, *experiments: Experiment) -> bool:
         """Whether one of these experiments is to be done."""
@@ -99,13 +107,14 @@ class GraspBatch:
         report = self.simulator.step(worlds, h, closing_force, heights, quasi_static=quasi_static)
         for row, candidate in enumerate(self.of(worlds)):
             candidate.time += h
-            candidate.count_step(report, row)
+            candidate.count_step(report, row, h)
             if not report.converged[row]:
                 self.finish(candidate, ResultCode.SOLVER_DIVERGED, no_solution(report, row, self.time))
 
     def finish(self, candidate: Candidate, code: ResultCode, message: str) -> None:
         """End a candidate's pickup; it is reported at once where nothing follows."""
         candidate.end(code, message)
+        candidate.evaluation.pickup = candidate.course.course()
         others = self.options.experiments - {Experiment.PICKUP}
         squeezed = Experiment.SQUEEZE in others and candidate.at_contact is not None
         if not others or (code != ResultCode.OK and not squeezed):
@@ -113,15 +122,14 @@ class GraspBatch:
 
     def report(self, candidate: Candidate) -> None:
         """Tell the observer that all is known about a candidate."""
-        candidate.evaluation.simulated_time = self.settled.duration + candidate.time
+        candidate.evaluation.end_time = self.time
         candidate.evaluation.wall_time = time.monotonic() - self._started
         candidate.reported = True
         self.observer.on_evaluation(candidate.evaluation)
 
-    def canceled(self) -> bool:
-        """Whether the run should end now."""
-        self._stopped = self._stopped or self.observer.should_stop()
-        return self._stopped
+    def interrupted(self) -> Failure | None:
+        """Return why the run has to end now; None: it may go on."""
+        return self.run.interruption.reason()
 
     def progress(self, experiment: Experiment, phase: Phase, fraction: float, active: int) -> None:
         """Say how far the batch is, ``fraction`` in [0, 1] of one of its experiments."""
@@ -129,33 +137,42 @@ class GraspBatch:
         asked = [e for e in WORK_SHARE if e in self.options.experiments]
         before = sum(WORK_SHARE[e] for e in asked[: asked.index(experiment)])
         within = (before + fraction * WORK_SHARE[experiment]) / sum(WORK_SHARE[e] for e in asked)
-        overall = (done + within * len(self.candidates)) / self.total
-        self.observer.on_progress(Progress(phase, overall, self.time, active, self.total))
+        overall = (done + within * len(self.candidates)) / self.run.grasp_count
+        self.observer.on_progress(Progress(phase, overall, self.time, active, self.run.grasp_count))
 
-    def sample(self, worlds: np.ndarray, closing_force: np.ndarray) -> None:
-        """Show the observer the state of the worlds that go on, once per sample interval."""
-        if self.time < self._next_sample:
+    def sample(
+        self,
+        worlds: np.ndarray,
+        closing_force: np.ndarray,
+        candidates: Sequence[Candidate] | None = None,
+        directions: np.ndarray | None = None,
+    ) -> None:
+        """Record the state of the worlds that go on, if this is the pickup, and show it to the observer.
+
+        Args:
+            worlds: Indices, shape ``(n,)``.
+            closing_force: With which the drive closes the pair of fingers [N], shape ``(n,)``.
+            candidates: The grasp in each world; None: those of the pickup.
+            directions: Of an experiment with several: which one each world is, shape ``(n,)``.
+        """
+        if candidates is None:
+            going = np.flatnonzero([not candidate.finished for candidate in self.of(worlds)])
+            worlds, closing_force, candidates = worlds[going], closing_force[going], self.of(worlds[going])
+            self._record(worlds, closing_force)
+        self._sampler.sample(self.time, self.experiment, worlds, candidates, closing_force, directions)
+
+    def _record(self, worlds: np.ndarray, closing_force: np.ndarray) -> None:
+        """Add the present state to the pickups' courses, once per interval, whatever the observer wants."""
+        if not len(worlds) or self.time < self._next_record:
             return
-        self._next_sample = self.time + self.observer.sample_interval
-        openings = self.simulator.openings(worlds)
-        velocities = self.simulator.opening_velocities(worlds)
-        forces = self.simulator.contact_forces(worlds)
-        for row, candidate in enumerate(self.of(worlds)):
-            if candidate.finished:
-                continue
-            self.observer.on_sample(
-                GraspSample(
-                    candidate.evaluation.grasp_index,
-                    candidate.evaluation.grasp_id,
-                    candidate.phase,
-                    self.time,
-                    float(openings[row]),
-                    float(velocities[row]),
-                    float(closing_force[row]),
-                    forces[row].fingers(),
-                    forces[row].normal_force(len(FINGER_NAMES)),
-                )
-            )
+        self._next_record = self.time + EvaluationObserver.sample_interval
+        candidates, positions = self.of(worlds), self.simulator.positions(worlds)
+        stress, _ = self.simulator.point_stresses(worlds)
+        largest_stress = von_mises_stress(stress).max(axis=(1, 2))
+        samples = self._sampler.read(self.time, self.experiment, worlds, candidates, closing_force)
+        for row, (candidate, sample) in enumerate(zip(candidates, samples, strict=True)):
+            slip = candidate.slip(positions[row], candidate.gripped_positions)
+            candidate.course.add(sample, candidate.time, slip, largest_stress[row])
 
 
 def no_solution(report: StepReport, row: int, now: float) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 
 from defgrasp_ros.errors import ResultCode
 from defgrasp_ros.evaluation import FINGER_NAMES, NAN, FingerContact, GraspEvaluation, Phase
+from defgrasp_ros.experiments.pickup_recorder import PickupRecorder
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.simulation.shard import WorldSnapshot
 from defgrasp_ros.simulation.stepper import StepReport
@@ -40,8 +41,12 @@ class Candidate:
     """What the fingers felt there."""
     remark: str = ""
     """Added to the message of a grasp that holds."""
+    course: PickupRecorder = field(default_factory=PickupRecorder)
+    """Its pickup so far."""
     time: float = 0.0
-    """Simulated since it was on the settled object [s]."""
+    """Since the start of the squeeze [s]."""
+    lowering_began: float = NAN
+    """When its platform began to sink, of the same clock [s]."""
     opening_at_contact: float = NAN
     """Opening at which pads that close one by one just touch the settled object, mean of both [m]."""
     was_gripped: bool = False
@@ -54,8 +59,10 @@ class Candidate:
     """Since everything became slow [s]."""
     gripped_nodes: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     """Nodes under the pads at the target force."""
-    gripped_positions: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
+    gripped_positions: np.ndarray | None = None
     """Where they were then [m]."""
+    lifted_positions: np.ndarray | None = None
+    """Where they were when the platform had gone [m]."""
 
     def end(self, code: ResultCode, message: str) -> None:
         """Set how the evaluation ended."""
@@ -76,8 +83,21 @@ class Candidate:
         """Whether the pickup has succeeded."""
         return self.evaluation.metrics.pickup_success
 
-    def count_step(self, report: StepReport, row: int) -> None:
-        """Add a step to the solver's account."""
+    def slip(self, positions: np.ndarray, reference: np.ndarray | None) -> float:
+        """Return how far the gripped nodes moved along the pads, mean [m]; nan without a reference.
+
+        Args:
+            positions: All nodes [m], shape ``(node, 3)``.
+            reference: Where the gripped nodes were [m].
+        """
+        if reference is None:
+            return NAN
+        axis, shift = self.grasp.rotation[:, 1], positions[self.gripped_nodes] - reference
+        return float(np.linalg.norm(shift - (shift @ axis)[:, None] * axis, axis=1).mean())
+
+    def count_step(self, report: StepReport, row: int, h: float) -> None:
+        """Add a step of length h [s], in whichever of its worlds, to the account."""
+        self.evaluation.simulated_time += h
         solver = self.evaluation.solver
         solver.iterations += int(report.iterations[row])
         solver.step_cuts += int(report.cuts[row])

@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from defgrasp_ros.errors import ResultCode
 from defgrasp_ros.experiments.batch import FORCE_TOLERANCE, STILL_CHANGE, GraspBatch, largest_motion, no_solution
 from defgrasp_ros.experiments.candidate import Candidate
+from defgrasp_ros.experiments.interruption import Failure
 
 RAMP_TIME_LIMIT = 3.0
 """Time after the ramp within which the force must be reached [s]."""
-
-
-@dataclass(frozen=True)
-class Failure:
-    """Why a grasp did not get to where the next experiment begins."""
-
-    code: ResultCode
-    message: str
 
 
 def load_free(batch: GraspBatch, candidates: Sequence[Candidate]) -> np.ndarray:
@@ -48,14 +40,15 @@ def ramp_closing_force(
     waiting, elapsed = np.arange(len(worlds)), 0.0
     positions = simulator.positions(worlds)
     while len(waiting):
-        if batch.canceled():
+        if interruption := batch.interrupted():
             for i in waiting:
-                outcome[i] = Failure(ResultCode.CANCELED, "canceled")
+                outcome[i] = interruption
             break
         elapsed += h
         batch.time += h
         force = start[waiting] + min(1.0, elapsed / ramp) * (end - start)[waiting]
         report = simulator.step(worlds[waiting], h, force, heights[waiting], quasi_static=True)
+        batch.sample(worlds[waiting], force, [candidates[i] for i in waiting])
         last, positions[waiting] = positions[waiting], simulator.positions(worlds[waiting])
         still = largest_motion(last, positions[waiting]) < STILL_CHANGE * size
         pads = simulator.normal_forces(worlds[waiting])[:, :2]
@@ -64,7 +57,7 @@ def ramp_closing_force(
         goes_on = np.ones(len(waiting), dtype=bool)
         for row, i in enumerate(waiting):
             candidate = candidates[i]
-            candidate.count_step(report, row)
+            candidate.count_step(report, row, h)
             touching = (pads[row] > candidate.touching_force).all()
             reached = abs(pads[row].sum() - end[i]) < FORCE_TOLERANCE * end[i]
             if not report.converged[row]:

@@ -16,6 +16,7 @@ from defgrasp_ros.experiments.collision import colliding_part
 from defgrasp_ros.experiments.features import grasp_features
 from defgrasp_ros.experiments.metrics import centre_of_mass, deformation
 from defgrasp_ros.experiments.settling import deformed_state
+from defgrasp_ros.simulation.kernels_faces import PALM, PLATFORM
 
 SQUEEZE_TIME_LIMIT = 3.0
 """Time after the force ramp within which the target force must be reached [s]."""
@@ -64,7 +65,8 @@ class Pickup:
         self._come_to_rest(held)
         for candidate in self.batch.candidates:
             if not candidate.finished:
-                self.batch.finish(candidate, ResultCode.CANCELED, "canceled before this grasp was finished")
+                why = self.batch.interrupted()
+                self.batch.finish(candidate, why.code, f"{why.message} before this grasp was finished")
 
     # --- phases -------------------------------------------------------------------------------------------------
 
@@ -117,7 +119,7 @@ class Pickup:
         size = self.model.mesh.size
         elapsed, positions = 0.0, self.simulator.positions(self.running)
         waiting = self.running
-        while len(waiting) and not self.batch.canceled():
+        while len(waiting) and not self.batch.interrupted():
             elapsed += h
             self.batch.time += h
             share = min(1.0, elapsed / ramp)
@@ -158,7 +160,9 @@ class Pickup:
         speed, tick = 0.0, 0
         calm = np.zeros(len(self.batch.candidates), dtype=bool)
         held: list[int] = []
-        while len(self.running) and not self.batch.canceled():
+        for candidate in self.batch.of(self.running):
+            candidate.lowering_began = candidate.time
+        while len(self.running) and not self.batch.interrupted():
             speed = min(speed + PLATFORM_ACCELERATION * h, self.options.platform_speed)
             # Calm worlds take one long step when the others take the first of LONG_STEP short ones.
             groups = [(self.running[~calm[self.running]], h)]
@@ -187,11 +191,14 @@ class Pickup:
             self.batch.candidates[w].platform_height -= speed * h
         self.batch.step(worlds, h, self.batch.targets(worlds), quasi_static=False)
         normal, fastest = self.simulator.normal_forces(worlds), self._fastest(worlds)
-        return [
-            w
-            for row, (w, candidate) in enumerate(zip(worlds, self.batch.of(worlds), strict=True))
-            if not candidate.finished and self._follow_hold(candidate, h, normal[row], fastest[row], elapsed)
-        ]
+        positions = self.simulator.positions(worlds)
+        held = []
+        for row, (w, candidate) in enumerate(zip(worlds, self.batch.of(worlds), strict=True)):
+            if not candidate.finished:
+                self._follow_slip(candidate, normal[row], positions[row])
+                if self._follow_hold(candidate, h, normal[row], fastest[row], elapsed):
+                    held.append(w)
+        return held
 
     def _fastest(self, worlds: np.ndarray) -> np.ndarray:
         """Largest nodal speed [m/s], shape ``(n,)``."""
@@ -202,10 +209,11 @@ class Pickup:
         h = LONG_STEP * self.options.time_step
         positions = self.simulator.positions(held)
         for step in range(REST_STEPS):
-            if not len(held) or self.batch.canceled():
+            if not len(held) or self.batch.interrupted():
                 break
             self.batch.time += h
             self.batch.step(held, h, self.batch.targets(held), quasi_static=True)
+            self.batch.sample(held, self.batch.targets(held))
             last, positions = positions, self.simulator.positions(held)
             resting = largest_motion(last, positions) < REST_CHANGE * self.model.mesh.size
             normal = self.simulator.normal_forces(held)
@@ -214,6 +222,7 @@ class Pickup:
                 if candidate.finished:
                     continue
                 if not candidate.touching(normal[row, :2]).all():
+                    candidate.evaluation.loss_of_contact_time = candidate.time - h - candidate.lowering_began
                     text = "the object slipped out when its swing was stopped"
                     self.batch.finish(candidate, ResultCode.DROPPED, text)
                 elif resting[row]:
@@ -223,9 +232,17 @@ class Pickup:
             goes_on = np.array([not self.batch.candidates[w].finished for w in held])
             held, positions = held[goes_on], positions[goes_on]
 
-    def _follow_hold(
-        self, candidate: Candidate, h: float, normal: np.ndarray, fastest: float, elapsed: float
-    ) -> bool:
+    @staticmethod
+    def _follow_slip(candidate: Candidate, normal: np.ndarray, positions: np.ndarray) -> None:
+        """Measure how far an object has slipped since the platform had gone, as long as both fingers hold it."""
+        if candidate.touching(normal[PLATFORM]):
+            candidate.lifted_positions = None
+        elif candidate.lifted_positions is None:
+            candidate.lifted_positions = positions[candidate.gripped_nodes]
+        if candidate.touching(normal[:PLATFORM]).all():
+            candidate.evaluation.slip_distance = candidate.slip(positions, candidate.lifted_positions)
+
+    def _follow_hold(self, candidate: Candidate, h: float, normal: np.ndarray, fastest: float, elapsed: float) -> bool:
         """Decide after a step whether one grasp has lost or goes on; return whether it has held long enough."""
         remaining = self.options.pickup_hold_time - candidate.holding_time
         touching = candidate.touching(normal[:2]).all()
@@ -237,6 +254,8 @@ class Pickup:
         candidate.time_at_rest = candidate.time_at_rest + h if still else 0.0
         if candidate.time_without_contact >= LOSS_TIME:
             candidate.evaluation.holding_time = max(0.0, candidate.holding_time - LOSS_TIME)
+            lost_at = candidate.time - candidate.time_without_contact
+            candidate.evaluation.loss_of_contact_time = lost_at - candidate.lowering_began
             side = FINGER_NAMES[int(np.argmin(normal[:2]))] if normal[:2].max() > 0.0 else "both fingers"
             held = candidate.evaluation.holding_time
             when = f"{held:.2f} s after lift-off" if held > 0.0 else "while the platform went down"
@@ -257,6 +276,7 @@ class Pickup:
         fingers = forces.fingers()
         state = deformed_state(self.simulator, w)
         candidate.evaluation.contacts = candidate.squeezed_contacts = fingers
+        candidate.evaluation.palm_force = forces.force(PALM)
         candidate.evaluation.applied_force = float(self.simulator.normal_forces(here)[0, :2].sum())
         candidate.evaluation.features = grasp_features(
             candidate.grasp,
@@ -276,18 +296,19 @@ class Pickup:
     def _measure_pickup(self, w: int, message: str) -> None:
         candidate, here = self.batch.candidates[w], np.array([w])
         metrics = candidate.evaluation.metrics
-        state = deformed_state(self.simulator, w)
-        _, energy = self.simulator.stresses(here)
+        state, forces = deformed_state(self.simulator, w), self.simulator.contact_forces(here)[0]
+        stress, energy = self.simulator.point_stresses(here)
         metrics.pickup_success = True
         metrics.max_von_mises_stress = float(state.von_mises_stress.max())
         metrics.max_deformation = float(
             deformation(self.settled.state.positions, state.positions, self.model.mesh.node_volumes).max()
         )
         metrics.strain_energy = float(energy[0].sum())
-        axis = candidate.grasp.rotation[:, 1]
-        shift = (state.positions[candidate.gripped_nodes] - candidate.gripped_positions).mean(axis=0)
-        candidate.evaluation.slip_distance = float(np.linalg.norm(shift - axis * (axis @ shift)))
-        candidate.evaluation.contacts = self.simulator.contact_forces(here)[0].fingers()
+        error = self.batch.run.stress_recovery.error(stress[0], self.model.material)
+        candidate.evaluation.stress_error = error.stress
+        candidate.evaluation.deformation_error = error.deformation * metrics.max_deformation
+        candidate.evaluation.slip_distance = candidate.slip(state.positions, candidate.lifted_positions)
+        candidate.evaluation.contacts, candidate.evaluation.palm_force = forces.fingers(), forces.force(PALM)
         if self.options.return_fields:
             candidate.evaluation.fields["post_pickup"] = state
         self.batch.finish(candidate, ResultCode.OK, message)

@@ -15,7 +15,8 @@ from defgrasp_ros.evaluation import Experiment, Phase, ReorientationResult
 from defgrasp_ros.experiments.batch import REST_CHANGE, GraspBatch, chunks, largest_motion, no_solution
 from defgrasp_ros.experiments.candidate import Candidate
 from defgrasp_ros.experiments.directions import DIRECTION_COUNT, sphere_directions
-from defgrasp_ros.experiments.force_ramp import Failure, ramp_closing_force
+from defgrasp_ros.experiments.force_ramp import ramp_closing_force
+from defgrasp_ros.experiments.interruption import Failure
 from defgrasp_ros.experiments.metrics import centre_of_mass, deformation
 from defgrasp_ros.experiments.settling import deformed_state
 from defgrasp_ros.experiments.slip_force import rotational_slip_force
@@ -43,6 +44,8 @@ class Reorientation:
         self.directions = sphere_directions()
         self.forces: dict[Candidate, float] = {}
         self.results: dict[Candidate, ReorientationResult] = {}
+        self.axes: np.ndarray | None = None
+        """Number of the axis about which each world turns; None while the objects are lifted."""
         self.lifted: dict[Candidate, WorldSnapshot] = {}
         self.lifted_positions: dict[Candidate, np.ndarray] = {}
 
@@ -105,7 +108,8 @@ class Reorientation:
         """Turn gravity about each job's axis, stopping at every angle of ``TURNS``."""
         worlds, simulator = np.arange(len(jobs)), self.simulator
         simulator.load(worlds, [self.lifted[candidate] for candidate, _ in jobs])
-        axes = self.directions[[axis for _, axis in jobs]]
+        self.axes = np.array([axis for _, axis in jobs])
+        axes = self.directions[self.axes]
         if not self.settles:
             self._spin([candidate for candidate, _ in jobs], worlds, axes)
         active, angle = np.arange(len(jobs)), 0.0
@@ -132,8 +136,10 @@ class Reorientation:
 
     def _advance(self, jobs: list[tuple[Candidate, int]], active: np.ndarray, gravity: np.ndarray, turn: int):
         """Take one step with gravity turned a little further; return who goes on."""
-        if not len(active) or self.batch.canceled():
-            return self._drop(jobs, active, {i: CANCELED for i in range(len(active))}, turn)
+        if interruption := self.batch.interrupted():
+            return self._drop(jobs, active, dict.fromkeys(range(len(active)), interruption), turn)
+        if not len(active):
+            return active
         failures = self._step([jobs[i][0] for i in active], active, gravity, quasi_static=self.settles)
         return self._drop(jobs, active, failures, turn)
 
@@ -172,8 +178,8 @@ class Reorientation:
         for _ in range(SETTLE_STEPS):
             if not len(active):
                 break
-            if self.batch.canceled():
-                return failures | {int(i): CANCELED for i in active}
+            if interruption := self.batch.interrupted():
+                return failures | {int(i): interruption for i in active}
             some = self._step([candidates[i] for i in active], worlds[active], gravity[active], quasi_static=True)
             last, positions[active] = positions[active], self.simulator.positions(worlds[active])
             moves = largest_motion(last, positions[active]) >= REST_CHANGE * self.size
@@ -193,9 +199,11 @@ class Reorientation:
         report = simulator.step(worlds, h, forces, np.zeros(len(worlds)), quasi_static=quasi_static)
         self.batch.time += h
         normal = simulator.normal_forces(worlds)[:, :2]
+        directions = None if self.axes is None else self.axes[worlds]
+        self.batch.sample(worlds, normal.sum(axis=1), candidates, directions)
         failures = {}
         for row, candidate in enumerate(candidates):
-            candidate.count_step(report, row)
+            candidate.count_step(report, row, h)
             if not report.converged[row]:
                 failures[row] = Failure(ResultCode.SOLVER_DIVERGED, no_solution(report, row, self.batch.time))
             elif not candidate.touching(normal[row]).all():
@@ -206,9 +214,6 @@ class Reorientation:
         """Return a result without any state."""
         nothing = [np.full((DIRECTION_COUNT, len(TURNS)), np.nan) for _ in range(4)]
         return ReorientationResult(self.directions, force, *nothing, [""] * DIRECTION_COUNT)
-
-
-CANCELED = Failure(ResultCode.CANCELED, "canceled")
 
 
 def turned_gravity(axes: np.ndarray, angle: float) -> np.ndarray:

@@ -49,9 +49,7 @@ class FreeSqueeze:
                     self._record(candidates[i], worlds[i], sample)
             active = active[[failure is None for failure in outcome]]
             before = force
-            self.batch.progress(
-                Experiment.SQUEEZE, Phase.SQUEEZE_FREE, (sample + 1) / len(self.forces), len(active)
-            )
+            self.batch.progress(Experiment.SQUEEZE, Phase.SQUEEZE_FREE, (sample + 1) / len(self.forces), len(active))
             if not len(active):
                 break
 

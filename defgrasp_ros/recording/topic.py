@@ -19,12 +19,16 @@ class Topic:
         message_class: Message class, e.g. ``sensor_msgs.msg.JointState``.
         depth: How many messages the publisher keeps.
         latched: Whether a late subscriber gets the kept messages (durability ``transient_local``).
+        reliable: Whether a lost message is sent again; else best effort.
+        description: What is on it, for people.
     """
 
     name: str
     message_class: type
     depth: int
     latched: bool = False
+    reliable: bool = True
+    description: str = ""
 
     @property
     def type_name(self) -> str:
@@ -37,7 +41,7 @@ class Topic:
         return {
             "history": "keep_last",
             "depth": self.depth,
-            "reliability": "reliable",
+            "reliability": "reliable" if self.reliable else "best_effort",
             "durability": "transient_local" if self.latched else "volatile",
             "deadline": dict(UNLIMITED),
             "lifespan": dict(UNLIMITED),

@@ -29,10 +29,16 @@ from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper, load_gripper
 from defgrasp_ros.mesh.limited_process import interruptible
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.recording import provenance
+from defgrasp_ros.recording import provenance, run_attachments
 from defgrasp_ros.ros.object_registry import ObjectRegistry
 from defgrasp_ros.ros.outputs import Outputs
-from defgrasp_ros.ros.parameters import experiment_defaults, log_directory, mesh_directories
+from defgrasp_ros.ros.parameters import (
+    experiment_defaults,
+    log_directory,
+    logged_topics,
+    max_log_size,
+    mesh_directories,
+)
 from defgrasp_ros.ros.request_conversion import grasp_from_message, object_from_message, options_from_message
 from defgrasp_ros.ros.result_conversion import evaluation_to_message
 from defgrasp_ros.ros.run_observer import RunObserver
@@ -108,8 +114,7 @@ class EvaluationRun:
             f"{len(request.grasps)} grasps on {self._parameters['device']}"
         )
         if request.options.record and self._parameters["record.enabled"]:
-            origin = provenance(self._parameters["device"], self._parameters)
-            self._outputs.start_log(log_directory(self._parameters), self.id, origin)
+            self._start_log(object_model, gripper, options)
         try:
             response = self._simulate(request, object_model, grasps, gripper, options)
         finally:
@@ -117,8 +122,19 @@ class EvaluationRun:
             log_path, self.recording_problem = self._outputs.end_log()
         response.log_uri = log_path.as_uri() if log_path else ""
         if self.recording_problem:
-            response.result.message += f"; not logged: {self.recording_problem}"
+            response.result.message += f"; {self.recording_problem}"
         return response
+
+    def _start_log(self, object_model: ObjectModel, gripper: Gripper, options: EvaluationOptions) -> None:
+        mesh, parameters = object_model.mesh, self._parameters
+        self._outputs.start_log(
+            log_directory(parameters),
+            self.id,
+            provenance(parameters["device"], parameters, gripper, options, mesh.element_order),
+            run_attachments(mesh, gripper),
+            topics=logged_topics(parameters),
+            max_size=max_log_size(parameters),
+        )
 
     def _simulate(
         self,
@@ -136,8 +152,10 @@ class EvaluationRun:
             self._outputs,
             self._status,
             grasps.valid,
+            object_model.mesh,
+            gripper,
+            self._parameters,
             start_time=start_time,
-            sample_interval=1.0 / self._parameters["publish.sample_rate"],
             stop=self._stop,
         )
         for evaluation in grasps.refused:

@@ -32,6 +32,7 @@ from defgrasp_ros.ros.object_services import ObjectServices
 from defgrasp_ros.ros.open_answers import OpenAnswers
 from defgrasp_ros.ros.outputs import Outputs
 from defgrasp_ros.ros.parameters import declare_parameters
+from defgrasp_ros.ros.robot_description import send_robot_description
 from defgrasp_ros.ros.status_reporter import StatusReporter
 
 NODE_NAME = "defgrasp_evaluator"
@@ -85,7 +86,8 @@ class EvaluatorNode(ManagedNode):
         from defgrasp_ros.simulation.simulator import device_names, prepare_device  # loads the simulator
 
         self._devices = device_names()
-        load_gripper(self.get_parameter("gripper").value)
+        gripper = load_gripper(self.get_parameter("gripper").value)
+        send_robot_description(self._outputs, gripper, self.get_clock().now().nanoseconds)
         prepare_device(self.get_parameter("device").value)
 
     def activate(self) -> None:

@@ -1,4 +1,4 @@
-"""Results of the experiments beyond the pickup, as messages (the evaluator's side) and back (the client's side)."""
+"""Results of the experiments, as messages (the evaluator's side) and back (the client's side)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from defgrasp_interfaces import msg
 
-from defgrasp_ros.evaluation import AccelerationResult, Experiment, ReorientationResult, SqueezeResult
+from defgrasp_ros.evaluation import AccelerationResult, Experiment, PickupCourse, ReorientationResult, SqueezeResult
 from defgrasp_ros.ros.fields import flat, rows
 from defgrasp_ros.ros.state_conversion import (
     contact_from_message,
@@ -17,10 +17,31 @@ from defgrasp_ros.ros.state_conversion import (
     field_to_message,
 )
 
+RECORDED = (
+    "time",
+    "opening",
+    "left_normal_force",
+    "right_normal_force",
+    "platform_force",
+    "slip",
+    "max_von_mises_stress",
+)
+"""Arrays over the time of a pickup."""
 TURNED = ("max_deformation", "max_deformation_from_lifted", "max_von_mises_stress", "strain_energy")
 """Arrays over axes and turns of a reorientation."""
 SQUEEZED = ("force", "opening", "max_deformation", "max_von_mises_stress", "strain_energy")
 """Arrays over the forces of a squeeze."""
+
+
+def pickup_to_message(course: PickupCourse) -> msg.PickupCourse:
+    """Return the message of a pickup over time."""
+    return msg.PickupCourse(phase=flat(course.phase, "B"), **_flat_fields(course, RECORDED))
+
+
+def pickup_from_message(message: msg.PickupCourse) -> PickupCourse:
+    """Return the pickup over time of a message."""
+    arrays = {name: np.asarray(getattr(message, name)) for name in RECORDED}
+    return PickupCourse(phase=np.asarray(message.phase), **arrays)
 
 
 def acceleration_to_message(result: AccelerationResult) -> msg.AccelerationResult:

@@ -43,6 +43,11 @@ def vector_message(vector: np.ndarray) -> Vector3:
     return Vector3(x=x, y=y, z=z)
 
 
+def vector_from_message(message: Vector3) -> np.ndarray:
+    """Return a vector message as ``(3,)`` numbers."""
+    return np.array([message.x, message.y, message.z])
+
+
 def point_message(point: np.ndarray) -> Point:
     """Return ``(3,)`` numbers as a point message."""
     x, y, z = map(float, point)

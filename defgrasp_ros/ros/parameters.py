@@ -24,6 +24,7 @@ from defgrasp_ros.gripper import DEFAULT_GRIPPER, load_gripper
 from defgrasp_ros.mesh.tetrahedralize import MAX_TETRAHEDRA
 from defgrasp_ros.option import options_of
 from defgrasp_ros.presets import load_preset
+from defgrasp_ros.ros.topics import LOGGED, relative_name
 
 EXPERIMENT = "experiment."
 """Prefix of the parameters that stand in for options left 0 in a request."""
@@ -116,12 +117,50 @@ NODE_PARAMETERS = (
     Parameter(
         "publish.sample_rate",
         1.0 / EvaluationObserver.sample_interval,
-        "Joint states and contacts of each grasp per simulated second",
+        "Joint states, contacts and wrenches per simulated second",
         "1/s",
         range=(0.1, 1000.0),
     ),
+    Parameter(
+        "publish.field_rate",
+        10.0,
+        "Point clouds per simulated second, at most as many as samples",
+        "1/s",
+        range=(0.01, 1000.0),
+    ),
+    Parameter(
+        "publish.marker_rate",
+        2.0,
+        "Markers per simulated second, besides those when the phase or the shown grasp changes",
+        "1/s",
+        range=(0.01, 1000.0),
+    ),
+    Parameter(
+        "publish.grasp",
+        "",
+        "Id of the grasp shown by joint states, wrenches, points and markers; empty: the first that runs",
+    ),
+    Parameter(
+        "publish.direction",
+        0,
+        "Which of the 16 directions is published of the experiments that have them",
+        range=(0, 15),
+    ),
+    Parameter("publish.clock", False, "Whether /clock tells the time of the simulation", read_only=True),
     Parameter("record.enabled", True, "Whether runs are logged; a request can ask for no log of its own run"),
     Parameter("record.directory", "", "Folder of the logs; empty: $ROS_HOME/defgrasp, or ~/.ros/defgrasp"),
+    Parameter(
+        "record.topics",
+        "",
+        "What is logged beside the request: names of topics with ',' between them, as status,evaluations; empty: all.",
+    ),
+    Parameter(
+        "record.max_size",
+        0.0,
+        "Size at which a log ends, while the run goes on; 0: no limit",
+        "MB",
+        range=(0.0, 1e6),
+    ),
     Parameter(
         "preset",
         "paper",
@@ -169,6 +208,25 @@ def log_directory(values: dict) -> Path:
     return Path(values["record.directory"] or f"{ros_home}/defgrasp").expanduser()
 
 
+def logged_topics(values: dict) -> list[str]:
+    """Return the relative names of the topics that are logged; empty: all.
+
+    Raises:
+        InvalidOptionsError: If there is no topic of such a name.
+    """
+    names = [name.strip().lstrip("~/") for name in values["record.topics"].split(",") if name.strip()]
+    known = [relative_name(topic) for topic in LOGGED]
+    for name in names:
+        if name not in known:
+            raise InvalidOptionsError(f"record.topics: there is no topic '{name}'; known: {', '.join(known)}")
+    return names
+
+
+def max_log_size(values: dict) -> int:
+    """Return the size that a log does not exceed [B]; 0: no limit."""
+    return round(values["record.max_size"] * 1e6)
+
+
 def parameters_yaml() -> str:
     """Return the table as a parameter file with every default; the preset decides about what it leaves out."""
     lines = [
@@ -212,6 +270,8 @@ def _check(parameters: list[RosParameter]) -> SetParametersResult:
                 _check_device(parameter.value)
             elif parameter.name == "preset":
                 load_preset(parameter.value)
+            elif parameter.name == "record.topics":
+                logged_topics({parameter.name: parameter.value})
             elif parameter.name.startswith(EXPERIMENT):
                 experiment_defaults({parameter.name: parameter.value})
         except DefgraspError as error:

@@ -15,6 +15,7 @@ from defgrasp_ros.checks import require_in_range
 from defgrasp_ros.errors import InvalidMeshError, MeshTooLargeError, UnknownFrameError
 from defgrasp_ros.evaluation import EvaluationOptions, in_order
 from defgrasp_ros.grasp import Grasp
+from defgrasp_ros.gripper_urdf import OBJECT_LINK
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.mesh_files import prepare_bytes, prepare_file
 from defgrasp_ros.mesh.mesh_uri import path_of_uri
@@ -25,7 +26,7 @@ from defgrasp_ros.ros.fields import extract, fill, flat, point_message, rows
 from defgrasp_ros.ros.object_registry import OBJECT_SCHEME, ObjectRegistry
 from defgrasp_ros.ros.object_source import MeshData, MeshFile, ObjectSource, RegisteredObject, Surface
 
-OBJECT_FRAME = "object"
+OBJECT_FRAME = OBJECT_LINK
 """Name of the object frame in message headers."""
 
 

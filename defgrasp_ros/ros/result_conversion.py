@@ -19,12 +19,14 @@ from defgrasp_ros.evaluation import (
 from defgrasp_ros.ros.experiment_conversion import (
     acceleration_from_message,
     acceleration_to_message,
+    pickup_from_message,
+    pickup_to_message,
     reorientation_from_message,
     reorientation_to_message,
     squeeze_from_message,
     squeeze_to_message,
 )
-from defgrasp_ros.ros.fields import extract, fill
+from defgrasp_ros.ros.fields import extract, fill, vector_from_message, vector_message
 from defgrasp_ros.ros.request_conversion import OBJECT_FRAME
 from defgrasp_ros.ros.state_conversion import (
     contact_from_message,
@@ -36,7 +38,17 @@ from defgrasp_ros.ros.state_conversion import (
 Source = TypeVar("Source")
 Target = TypeVar("Target")
 
-NUMBERS = ("target_force", "applied_force", "slip_distance", "holding_time", "simulated_time", "wall_time")
+NUMBERS = (
+    "target_force",
+    "applied_force",
+    "slip_distance",
+    "holding_time",
+    "loss_of_contact_time",
+    "simulated_time",
+    "wall_time",
+    "stress_error",
+    "deformation_error",
+)
 """Fields of an evaluation that are plain numbers."""
 
 
@@ -55,8 +67,10 @@ def evaluation_to_message(evaluation: GraspEvaluation, stamp: Time, *, with_fiel
         features=fill(msg.GraspFeatures(), evaluation.features),
         metrics=fill(msg.GraspMetrics(), evaluation.metrics),
         contacts=[contact_to_message(contact) for contact in evaluation.contacts or ()],
+        palm_force=vector_message(evaluation.palm_force),
         solver=fill(msg.SolverReport(), evaluation.solver),
         fields=[field_to_message(*item) for item in evaluation.fields.items()] if with_fields else [],
+        pickup=_list(evaluation.pickup, pickup_to_message),
         reorientation=_list(evaluation.reorientation, partial(reorientation_to_message, with_fields=with_fields)),
         linear_acceleration=_list(evaluation.linear_acceleration, acceleration_to_message),
         angular_acceleration=_list(evaluation.angular_acceleration, acceleration_to_message),
@@ -79,8 +93,10 @@ def evaluation_from_message(message: msg.GraspEvaluation) -> GraspEvaluation:
         features=extract(GraspFeatures, message.features),
         metrics=extract(GraspMetrics, message.metrics),
         contacts=contacts or None,
+        palm_force=vector_from_message(message.palm_force),
         solver=extract(SolverReport, message.solver),
         fields={field.stage: field_from_message(field) for field in message.fields},
+        pickup=_single(message.pickup, pickup_from_message),
         reorientation=_single(message.reorientation, reorientation_from_message),
         linear_acceleration=_single(message.linear_acceleration, acceleration_from_message),
         angular_acceleration=_single(message.angular_acceleration, acceleration_from_message),

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from defgrasp_ros.evaluation import FINGER_NAMES, FingerContact
-
-SLIPPING_SHARE = 0.999
-"""A point slips when its friction force reaches this share of mu times its normal force [-]."""
+from defgrasp_ros.simulation.gross_slip import GROSS_SLIP_SHARE, mobilised_friction
+from defgrasp_ros.simulation.kernels_faces import PALM
 
 
 @dataclass
@@ -17,7 +16,7 @@ class ContactForces:
     """Points that carry force; vectors in the object frame, shape ``(contact, 3)``."""
 
     body: np.ndarray
-    """0 left pad, 1 right pad, 2 platform, shape ``(contact,)``."""
+    """0 left pad, 1 right pad, 2 platform, 3 palm, shape ``(contact,)``."""
     positions: np.ndarray
     normals: np.ndarray
     """Unit, from the body into the object."""
@@ -33,16 +32,26 @@ class ContactForces:
         mine = self.body == body
         return float(np.einsum("ij,ij->", self.forces[mine], self.normals[mine]))
 
+    def force(self, body: int) -> np.ndarray:
+        """Force of one body on the object [N], shape ``(3,)``."""
+        return self.forces[self.body == body].sum(axis=0)
+
     def fingers(self) -> tuple[FingerContact, FingerContact]:
         """What the left and the right finger feel."""
         left, right = (self._finger(pad, name) for pad, name in enumerate(FINGER_NAMES))
         return left, right
 
+    def palm(self) -> FingerContact:
+        """What the palm feels."""
+        return self._finger(PALM, "palm")
+
     def _finger(self, pad: int, name: str) -> FingerContact:
         mine = self.body == pad
         finger = FingerContact(name, self.positions[mine], self.normals[mine], self.forces[mine])
-        friction_force = self.forces[mine] - finger.normal_forces[:, None] * self.normals[mine]
-        limit = self.friction * finger.normal_forces
-        at_limit = np.linalg.norm(friction_force, axis=1) > SLIPPING_SHARE * limit
-        finger.slipping = bool(finger.count and at_limit.all())
+        finger.slipping = self.mobilised_friction(pad) > GROSS_SLIP_SHARE
         return finger
+
+    def mobilised_friction(self, body: int) -> float:
+        """Share of a body's sliding resistance that is used up [-]; see :mod:`gross_slip`."""
+        mine = self.body == body
+        return mobilised_friction(self.positions[mine], self.normals[mine], self.forces[mine], self.friction)

@@ -10,7 +10,7 @@ from defgrasp_ros.simulation import kernels_coulomb as coulomb
 from defgrasp_ros.simulation import kernels_detection as detection
 from defgrasp_ros.simulation import kernels_faces as faces
 from defgrasp_ros.simulation import kernels_selection as selection
-from defgrasp_ros.simulation.contact_forces import SLIPPING_SHARE, ContactForces
+from defgrasp_ros.simulation.contact_forces import ContactForces
 from defgrasp_ros.simulation.contact_solver import ContactSolver
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
@@ -302,17 +302,6 @@ class ContactSet:
             weights=weights,
             friction=self._model.friction,
         )
-
-    def sliding(self, worlds: np.ndarray) -> np.ndarray:
-        """Whether each pad touches and all of its loaded points have used up their friction, shape ``(n, 2)``."""
-        count, body = self.lists.count.numpy()[worlds], self.lists.body.numpy()[worlds]
-        force = self.lists.force.numpy()[worlds]
-        loaded = (np.arange(self.capacity) < count[:, None]) & (force[:, :, 0] > 0.0)
-        limit = SLIPPING_SHARE * self._model.friction * force[:, :, 0]
-        holding = loaded & (np.hypot(force[:, :, 1], force[:, :, 2]) < limit)
-        pads = (faces.LEFT_PAD, faces.RIGHT_PAD)
-        mine = [body == pad for pad in pads]
-        return np.stack([(loaded & m).any(axis=1) & ~(holding & m).any(axis=1) for m in mine], axis=1)
 
     def _scatter(self, rows: wp.array, nodal_force: wp.array) -> None:
         inputs = [self.lists, rows, self._force, nodal_force]

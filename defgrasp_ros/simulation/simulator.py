@@ -290,10 +290,6 @@ class Simulator:
         """
         return self._collect(worlds, lambda shard, entries: shard.contacts.normal_forces(entries))
 
-    def sliding(self, worlds: np.ndarray) -> np.ndarray:
-        """Whether each pad touches and all of its loaded points have used up their friction, shape ``(n, 2)``."""
-        return self._collect(worlds, lambda shard, entries: shard.contacts.sliding(entries))
-
     def contact_forces(self, worlds: np.ndarray) -> list[ContactForces]:
         """The contact points that carry more force than the solver's tolerance, per world."""
         result: dict[int, ContactForces] = {}
