@@ -33,6 +33,7 @@ class Diagnostics:
         device_problem: Tells why the device cannot be used; empty where it can, None before the configuration.
         queued_count: Tells how many requests wait.
         last_failure: Tells when and why a run failed; empty where none did.
+        log_problem: Tells what is wrong with the log of the present run; empty where nothing is.
     """
 
     def __init__(
@@ -41,11 +42,13 @@ class Diagnostics:
         device_problem: Callable[[], str | None],
         queued_count: Callable[[], int],
         last_failure: Callable[[], str],
+        log_problem: Callable[[], str],
     ) -> None:
         self._node = node
         self._device_problem = device_problem
         self._queued_count = queued_count
         self._last_failure = last_failure
+        self._log_problem = log_problem
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         node.create_timer(INTERVAL, self._publish, callback_group=MutuallyExclusiveCallbackGroup())
 
@@ -63,7 +66,7 @@ class Diagnostics:
             "device": self._device(device),
             "queue": self._queue(int(parameters["max_queued_goals"])),
             "last run": self._last_run(),
-            "logs": _space(log_directory(parameters), needed=bool(parameters["record.enabled"])),
+            "logs": self._logs(log_directory(parameters), needed=bool(parameters["record.enabled"])),
             "kernel cache": _kernel_cache(),
         }
         name = self._node.get_fully_qualified_name().lstrip("/")
@@ -94,6 +97,11 @@ class Diagnostics:
     def _last_run(self) -> tuple[bytes, str, dict]:
         failure = self._last_failure()
         return (WARN, failure, {}) if failure else (OK, "no run has failed", {})
+
+    def _logs(self, folder: Path, *, needed: bool) -> tuple[bytes, str, dict]:
+        level, text, values = _space(folder, needed=needed)
+        problem = self._log_problem()
+        return (max(level, WARN), problem, values) if problem else (level, text, values)
 
 
 def _space(folder: Path, *, needed: bool) -> tuple[bytes, str, dict]:

@@ -70,6 +70,7 @@ class EvaluatorNode(ManagedNode):
             self._device_problem,
             lambda: self._queue.waiting_count,
             lambda: self._evaluator.last_failure,
+            lambda: self._outputs.log_problem,
         )
         self.create_service(Trigger, "~/stop", self._stop, callback_group=MutuallyExclusiveCallbackGroup())
         self._evaluator.rest()
