@@ -19,7 +19,7 @@ from defgrasp_ros.ros.topics import EVERY_FEEDBACK
 
 ACTION_NAME = "~/evaluate_grasps"
 
-RESULT_TIMEOUT = 30
+RESULT_TIMEOUT = 10
 """How long a result is kept for a caller that did not ask for it yet [s]; results can be large."""
 
 GONE_INTERVAL = 1.0
