@@ -26,7 +26,7 @@ from defgrasp_ros.analysis.recorded_run import RecordedGrasp, RecordedRun
 from defgrasp_ros.analysis.tables import ACCELERATIONS, INTERFACES, TURNS
 from defgrasp_ros.color_scales import acceleration_scale, deformation_scale, round_numbers, stress_scale
 from defgrasp_ros.errors import InvalidOptionsError, RecordingError
-from defgrasp_ros.evaluation import EvaluationOptions, Experiment, GraspEvaluation
+from defgrasp_ros.evaluation import EvaluationOptions, Experiment, GraspEvaluation, in_order
 from defgrasp_ros.option import options_of
 from defgrasp_ros.report import EXPERIMENT_COLUMNS, FEATURE_COLUMNS, METRIC_COLUMNS
 from defgrasp_ros.scene import STAGES, Scene, drawn_stage
@@ -274,7 +274,7 @@ def _why_missing(run: RecordedRun, evaluation: GraspEvaluation, experiment: Expe
         return "not measured by this evaluator"
     result = getattr(evaluation, experiment)
     if result is None:
-        asked = experiment in run.options.get("experiments", [])
+        asked = experiment in run.options.experiments
         return "the experiment has no result" if asked else "the experiment was not asked for"
     count = sum(map(bool, result.reasons))
     first = next(filter(None, result.reasons), "")
@@ -365,8 +365,8 @@ def _facts(run: RecordedRun) -> list[tuple[str, list[tuple[str, str]]]]:
         (
             "Run",
             [
-                ("gripper", run.gripper_name or "unknown"),
-                ("experiments", ", ".join(name.replace("_", " ") for name in run.options.get("experiments", []))),
+                ("gripper", run.gripper.name),
+                ("experiments", ", ".join(name.replace("_", " ") for name in in_order(run.options.experiments))),
                 ("device", run.provenance.get("device", "unknown")),
                 ("start", f"{datetime.fromtimestamp(run.start_time / 1e9).astimezone():%Y-%m-%d %H:%M:%S %Z}"),
                 ("wall time", f"{run.wall_time:.1f} s"),
@@ -379,12 +379,9 @@ def _facts(run: RecordedRun) -> list[tuple[str, list[tuple[str, str]]]]:
 
 def _option_rows(run: RecordedRun) -> list[tuple[str, str, str]]:
     """Return name, value with unit and meaning of every constant of the protocol that was in force."""
-    known = options_of(EvaluationOptions)
     rows = []
-    for name, value in run.options.items():
-        option = known.get(name)
-        if option is None:
-            continue
+    for name, option in options_of(EvaluationOptions).items():
+        value = getattr(run.options, name)
         text = ("yes" if value else "no") if isinstance(value, bool) else f"{value:g} {_unit(option.unit)}"
         rows.append((name, text.strip(), option.meaning))
     return rows
