@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from defgrasp_ros.color_scales import FINGER_COLOR, PLATFORM_COLOR
 from defgrasp_ros.evaluation import DeformedState, GraspEvaluation
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
@@ -24,9 +25,9 @@ AZIMUTH, ELEVATION = math.radians(-50.0), math.radians(22.0)
 SUPERSAMPLING = 2
 """Pixels that are rendered for one of the picture, along each side."""
 
-FINGER_COLOR, FINGER_OUTLINE, FINGER_OPACITY = np.array([0.45, 0.55, 0.68]), np.array([0.15, 0.2, 0.3]), 0.42
+FINGER_OUTLINE, FINGER_OPACITY = np.array([0.15, 0.2, 0.3]), 0.42
 IDLE_COLOR, IDLE_FINGER_OPACITY = np.array([0.82, 0.82, 0.82]), 0.25
-PLATFORM_COLOR, PLATFORM_THICKNESS, PLATFORM_MARGIN = np.array([0.9, 0.91, 0.93]), 0.003, 0.012
+PLATFORM_THICKNESS, PLATFORM_MARGIN = 0.003, 0.012
 FILLET_POINTS = 6
 """Points across a rounded edge."""
 

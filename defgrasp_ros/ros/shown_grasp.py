@@ -11,7 +11,7 @@ from defgrasp_ros.mesh.tet_mesh import TetMesh
 from defgrasp_ros.periodic import Periodic
 from defgrasp_ros.ros.fields import time_message
 from defgrasp_ros.ros.joint_states import sample_to_joint_state
-from defgrasp_ros.ros.markers import Scene
+from defgrasp_ros.ros.markers import GraspMarkers
 from defgrasp_ros.ros.outputs import Outputs
 from defgrasp_ros.ros.point_cloud import fields_to_point_cloud
 from defgrasp_ros.ros.topics import JOINT_STATES, MARKERS, OBJECT_POINTS, WRENCHES
@@ -31,7 +31,7 @@ class ShownGrasp:
     def __init__(self, outputs: Outputs, mesh: TetMesh, gripper: Gripper, parameters: Mapping) -> None:
         self._outputs = outputs
         self._gripper = gripper
-        self._scene = Scene(mesh, gripper)
+        self._markers = GraspMarkers(mesh, gripper)
         self._asked = parameters["publish.grasp"]
         self._points_due = Periodic(1.0 / parameters["publish.field_rate"])
         self._markers_due = Periodic(1.0 / parameters["publish.marker_rate"])
@@ -77,4 +77,4 @@ class ShownGrasp:
             outputs.send(OBJECT_POINTS, fields_to_point_cloud(read_fields(), stamp), time)
         if outputs.wanted(MARKERS) and (is_new or self._markers_due.is_due(sample.time)):
             self._markers_due.done(sample.time)
-            outputs.send(MARKERS, self._scene.picture(sample, read_fields(), stamp), time)
+            outputs.send(MARKERS, self._markers.draw(sample, read_fields(), stamp), time)
