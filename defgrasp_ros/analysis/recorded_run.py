@@ -20,8 +20,8 @@ from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.tet_mesh import TetMesh
 from defgrasp_ros.object_model import ObjectModel
 from defgrasp_ros.recording import LoggedMessage, LoggedRun, read_log, run_inputs
+from defgrasp_ros.recording.topic import NANOSECONDS
 
-NANOSECONDS = 1_000_000_000
 TOPICS = ("request", "status", "evaluations", "contacts", "joint_states", "all_joint_states")
 """What is read; points and markers only draw the rest again."""
 NOT_FINISHED = "not finished: the log ends before its result"

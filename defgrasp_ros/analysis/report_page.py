@@ -28,6 +28,7 @@ from defgrasp_ros.color_scales import acceleration_scale, deformation_scale, rou
 from defgrasp_ros.errors import InvalidOptionsError, RecordingError
 from defgrasp_ros.evaluation import EvaluationOptions, Experiment, GraspEvaluation, in_order
 from defgrasp_ros.option import options_of
+from defgrasp_ros.recording.topic import NANOSECONDS
 from defgrasp_ros.report import EXPERIMENT_COLUMNS, FEATURE_COLUMNS, METRIC_COLUMNS
 from defgrasp_ros.scene import STAGES, Scene, drawn_stage
 
@@ -368,7 +369,7 @@ def _facts(run: RecordedRun) -> list[tuple[str, list[tuple[str, str]]]]:
                 ("gripper", run.gripper.name),
                 ("experiments", ", ".join(name.replace("_", " ") for name in in_order(run.options.experiments))),
                 ("device", run.provenance.get("device", "unknown")),
-                ("start", f"{datetime.fromtimestamp(run.start_time / 1e9).astimezone():%Y-%m-%d %H:%M:%S %Z}"),
+                ("start", f"{datetime.fromtimestamp(run.start_time / NANOSECONDS).astimezone():%Y-%m-%d %H:%M:%S %Z}"),
                 ("wall time", f"{run.wall_time:.1f} s"),
                 ("versions", ", ".join(f"{name} {text}" for name, text in run.versions.items()) or "unknown"),
             ],
