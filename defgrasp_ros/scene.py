@@ -44,7 +44,7 @@ class Scene:
 
     Args:
         object_model: The object.
-        gripper: Gives the shape of the fingers; None: they are not drawn.
+        gripper: Gives the shape of the fingers.
         grasp: The pose.
         state: Shape and stress; None: the object is undeformed and the gripper open, both drawn grey.
         has_platform: Whether the object still lies on the platform.
@@ -52,7 +52,7 @@ class Scene:
     """
 
     object_model: ObjectModel
-    gripper: Gripper | None
+    gripper: Gripper
     grasp: Grasp
     state: DeformedState | None
     has_platform: bool = False
@@ -60,7 +60,7 @@ class Scene:
 
     @classmethod
     def of_evaluation(
-        cls, object_model: ObjectModel, gripper: Gripper | None, grasp: Grasp, evaluation: GraspEvaluation
+        cls, object_model: ObjectModel, gripper: Gripper, grasp: Grasp, evaluation: GraspEvaluation
     ) -> Scene:
         """Return the scene after the hold, or at the target force where there is no hold, or before the grasp."""
         stage = drawn_stage(evaluation)
@@ -80,8 +80,6 @@ class Scene:
     @property
     def fingers(self) -> list[np.ndarray]:
         """Vertices of the two fingers [m], each of shape ``(vertex, 3)``."""
-        if self.gripper is None:
-            return []
         opening = self.state.opening if self.state else self.gripper.max_opening
         shape, _ = finger_surface(self.gripper)
         placed = [(shape + [0.0, opening, 0.0]) * [1.0, side, 1.0] for side in (1.0, -1.0)]
@@ -117,7 +115,7 @@ class Scene:
         held = self.state is not None
         colors = IDLE_COLOR if colors is None else colors
         layers = [solid(camera, self.positions, self.object_model.mesh.surface_triangles, colors)]
-        for vertices, flip in zip(self.fingers, (1, -1), strict=False):
+        for vertices, flip in zip(self.fingers, (1, -1), strict=True):
             _, triangles = finger_surface(self.gripper)
             opacity = FINGER_OPACITY if held else IDLE_FINGER_OPACITY
             finger = solid(camera, vertices, triangles[:, ::flip], FINGER_COLOR if held else IDLE_COLOR, opacity)
