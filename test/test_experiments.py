@@ -150,7 +150,7 @@ def test_accelerations_of_a_symmetric_grasp_are_symmetric(symmetric_acceleration
 
 @pytest.fixture(scope="module")
 def symmetric_accelerations():
-    """Linear and angular test of a block in the middle of the hand; with an even number of cells its mesh is symmetric."""
+    """Both tests of a block in the middle of the hand; a mesh of an even number of cells is symmetric."""
     limits = {"max_linear_acceleration": 100.0, "angular_jerk": 4e4, "max_angular_acceleration": 2000.0}
     both = {"linear_acceleration", "angular_acceleration"}
     evaluation = evaluate(block(2e5, 0.3), 0.6, load_gripper(), experiments=both, **limits)
