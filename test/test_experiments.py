@@ -136,6 +136,7 @@ def test_turning_slip_about_the_closing_axis_follows_the_torsional_friction(monk
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("mirror", [[-1.0, 1.0, 1.0], [1.0, -1.0, 1.0]])
 def test_accelerations_of_a_symmetric_grasp_are_symmetric(symmetric_accelerations, mirror):
     """Along mirrored directions slip and loss come at the same acceleration; about mirrored axes as well."""
