@@ -72,6 +72,7 @@ setup(
     maintainer_email="maintainers@defgrasp-ros.example",
     license="Apache-2.0",
     packages=find_packages(include=[f"{PACKAGE_NAME}*"]),
+    package_data={f"{PACKAGE_NAME}.analysis": ["report.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE_NAME}"]),
         (SHARE, ["package.xml"]),
@@ -82,12 +83,14 @@ setup(
     install_requires=[
         "fast-simplification",  # behind trimesh's simplify_quadric_decimation
         "h5py",
+        "jinja2",
         "matplotlib",
         "mcap>=1.6",  # flush()
         "mcap-ros2-support",
         "meshio",
         "networkx",  # behind the repair of a surface's winding in trimesh
         "numpy",
+        "pillow",
         "pytetwild>=0.2.3,<0.3",  # 0.4 needs a visualisation library of 590 MB
         "pyyaml",
         "rich",

@@ -1,4 +1,4 @@
-"""The ``defgrasp`` command: objects, grasps and their evaluation without ROS, and validation of the simulation."""
+"""The ``defgrasp`` command: objects, grasps and their evaluation without ROS, logs, and validation."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from defgrasp_ros import evaluation as ev
 from defgrasp_ros.commands.evaluation_options import Experiments, Preset, evaluation_options, with_constants
+from defgrasp_ros.commands.export import export
 from defgrasp_ros.commands.grippers import grippers
+from defgrasp_ros.commands.info import info
 from defgrasp_ros.commands.mesh import mesh
 from defgrasp_ros.commands.object_argument import (
     EdgeLength,
@@ -27,6 +27,10 @@ from defgrasp_ros.commands.object_argument import (
     prepared_object,
 )
 from defgrasp_ros.commands.objects import objects
+from defgrasp_ros.commands.progress import ProgressBar, progress_line
+from defgrasp_ros.commands.replay import replay
+from defgrasp_ros.commands.report import report
+from defgrasp_ros.commands.rerun import rerun
 from defgrasp_ros.commands.sample import sample
 from defgrasp_ros.errors import DefgraspError, InvalidGraspError
 from defgrasp_ros.gripper import DEFAULT_GRIPPER, load_gripper
@@ -39,9 +43,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,  # brackets in the help are units
 )
+app.command()(export)
 app.command()(grippers)
+app.command()(info)
 app.command()(mesh)
 app.command()(objects)
+app.command()(replay)
+app.command()(report)
+app.command()(rerun)
 app.command()(sample)
 
 
@@ -152,7 +161,7 @@ def validate(
     if not cuda:
         console.print("no CUDA device: CPU and CUDA are not compared", highlight=False)
     chosen, cases = experiments(quick=quick, cuda=cuda), []
-    with _bar(console) as progress:
+    with progress_line(console) as progress:
         task = progress.add_task(chosen[0].name, total=len(chosen))
         for count, (_, measured) in enumerate(run(chosen, device), start=1):
             cases += measured
@@ -200,35 +209,6 @@ def _write(
 def _screen() -> Console:
     """Standard output; wide where it is no terminal."""
     return Console(width=None if sys.stdout.isatty() else 200)
-
-
-def _bar(console: Console) -> Progress:
-    """A line that shows how far something is, and vanishes at the end."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=console, transient=True)
-
-
-class ProgressBar(ev.EvaluationObserver):
-    """Shows how far a run is."""
-
-    sample_interval = float("inf")
-
-    def __init__(self, console: Console, grasp_count: int):
-        self._progress = _bar(console)
-        self._task = self._progress.add_task(f"{grasp_count} grasps", total=1.0)
-        self._grasp_count = grasp_count
-
-    def __enter__(self) -> ProgressBar:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def on_progress(self, progress: ev.Progress) -> None:
-        phase = progress.phase.name.lower().replace("_", " ")
-        text = f"{phase}, {progress.active_grasps} of {self._grasp_count} grasps running"
-        self._progress.update(self._task, completed=progress.fraction, description=text)
 
 
 def main() -> None:

@@ -57,6 +57,18 @@ class NotFoundError(DefgraspError):
     code = ResultCode.NOT_FOUND
 
 
+class IncorrectStateError(DefgraspError):
+    """What is asked for cannot be done in the present state."""
+
+    code = ResultCode.INCORRECT_STATE
+
+
+class ResourceExhaustedError(DefgraspError):
+    """No room for more: in the queue, in memory or on the disk."""
+
+    code = ResultCode.RESOURCE_EXHAUSTED
+
+
 class InvalidMeshError(DefgraspError):
     """The object's mesh cannot be read, or is not a solid that can be simulated."""
 

@@ -7,13 +7,14 @@ Names are those of the messages in ``defgrasp_interfaces``; the paper's short na
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 
 import numpy as np
 
 from defgrasp_ros.errors import InvalidOptionsError, ResultCode
+from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.option import option, options_of
 
 FINGER_NAMES = ("left_finger", "right_finger")
@@ -385,11 +386,29 @@ class GraspEvaluation:
 
 
 @dataclass
+class NodalFields:
+    """Shape and stress at one instant, one value per node of the mesh."""
+
+    positions: np.ndarray
+    """In the object frame [m], shape ``(node, 3)``."""
+    displacement: np.ndarray
+    """Distance from the pre-contact shape, rigid motion removed [m], shape ``(node,)``; its largest value is what
+    ``max_deformation`` measures."""
+    von_mises_stress: np.ndarray
+    """Mean of the adjacent elements, weighted by volume [Pa], shape ``(node,)``."""
+
+
+@dataclass
 class GraspSample:
     """The state of one running grasp, as published and recorded while the simulation runs."""
 
     grasp_index: int
     grasp_id: str
+    grasp: Grasp
+    """Where the hand is, on the settled object."""
+    experiment: Experiment
+    direction: int | None
+    """Which of the directions this is, of an experiment that has several; else None."""
     phase: Phase
     time: float
     """Simulated time since the start of the run [s]."""
@@ -400,10 +419,19 @@ class GraspSample:
     closing_force: float
     """Force with which the drive closes the pair of fingers [N], sum of both."""
     contacts: tuple[FingerContact, FingerContact]
+    palm: FingerContact
+    """What the palm feels."""
     platform_force: float
     """Normal force of the platform on the object [N]."""
-    palm_force: np.ndarray
-    """Force of the palm on the object [N], object frame, shape ``(3,)``."""
+    platform_height: float
+    """Surface of the platform [m]; nan once it is gone."""
+    read_fields: Callable[[], NodalFields]
+    """Reads shape and stress from the simulator; only while the observer is being told of the sample."""
+
+    @property
+    def palm_force(self) -> np.ndarray:
+        """Force of the palm on the object [N], shape ``(3,)``."""
+        return self.palm.forces.sum(axis=0)
 
 
 @dataclass
@@ -420,16 +448,22 @@ class Progress:
 class EvaluationObserver:
     """Follows a running evaluation; override what you need. Called in the thread that simulates.
 
-    ``sample_interval`` is the simulated time between two calls of ``on_sample`` per grasp [s].
+    ``sample_interval`` is the simulated time between two calls of ``on_samples`` [s]; ``sample_direction`` says which
+    direction is sampled in experiments that try each grasp in several at once.
     """
 
     sample_interval = 0.02
+    sample_direction = 0
 
     def on_progress(self, progress: Progress) -> None:
         """The run got further."""
 
-    def on_sample(self, sample: GraspSample) -> None:
-        """The state of one grasp that still runs."""
+    def wants_samples(self) -> bool:
+        """Whether ``on_samples`` has a use for the present state; reading it from the simulator costs time."""
+        return True
+
+    def on_samples(self, samples: Sequence[GraspSample]) -> None:
+        """The present state of every grasp that is being simulated, at least one, in the order of the grasps."""
 
     def on_evaluation(self, evaluation: GraspEvaluation) -> None:
         """One grasp is finished."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -129,11 +130,21 @@ def load_gripper(name: str = DEFAULT_GRIPPER) -> Gripper:
     path = config_file(f"grippers/{name}.yaml")
     if name not in gripper_names():
         raise NotFoundError(f"gripper '{name}' is unknown; known: {', '.join(gripper_names())}")
-    values: dict[str, Any] = yaml.safe_load(path.read_text())
     try:
-        palm = values.pop("palm", None)
-        if palm is not None and not isinstance(palm, dict):
-            raise InvalidOptionsError(f"gripper.palm = {palm!r} is not a group of face, half_width and half_length")
-        return Gripper(name=name, palm=None if palm is None else Palm(**palm), **values)
+        return gripper_from_values({"name": name, **yaml.safe_load(path.read_text())})
     except TypeError as error:
         raise InvalidOptionsError(f"{path}: {error}") from error
+
+
+def gripper_from_values(values: Mapping[str, Any]) -> Gripper:
+    """Return a gripper from the values of its fields, those of the palm as a group of their own; the inverse of
+    ``dataclasses.asdict``.
+
+    Raises:
+        InvalidOptionsError: If a value is outside its range.
+        TypeError: If a value is missing or unknown.
+    """
+    palm = values.get("palm")
+    if palm is not None and not isinstance(palm, dict):
+        raise InvalidOptionsError(f"gripper.palm = {palm!r} is not a group of face, half_width and half_length")
+    return Gripper(**{**values, "palm": None if palm is None else Palm(**palm)})

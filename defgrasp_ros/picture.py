@@ -2,65 +2,49 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from defgrasp_ros.color_scales import round_numbers, stress_scale
 from defgrasp_ros.evaluation import GraspEvaluation
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.rendering import Camera, Layer, compose, downsample, solid, with_outline
+from defgrasp_ros.rendering import Camera, compose, downsample
 from defgrasp_ros.report import FEATURE_COLUMNS, METRIC_COLUMNS
+from defgrasp_ros.scene import STAGES, SUPERSAMPLING, Scene, drawn_stage
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
 
-STAGES = {"post_pickup": "after the hold", "at_target_force": "at the target force"}
-"""Stages that can be drawn, the first one that there is, and what they are called."""
-
-PLATFORM_STAGE = "at_target_force"
-"""The stage in which the object still touches the platform."""
-
 MAX_PANELS = 100
 """Grasps on one contact sheet."""
 
-AZIMUTH, ELEVATION = math.radians(-50.0), math.radians(22.0)
 PANEL_PIXELS, LARGE_PANEL_PIXELS = 420, 1000
-PANEL_SIZE, CAPTION, HEAD, FOOT, MIN_SHEET_WIDTH = 2.9, 0.55, 0.85, 0.75, 6.0
+PANEL_SIZE, CAPTION, HEAD, FOOT, MIN_SHEET_WIDTH = 2.9, 0.55, 0.85, 1.25, 6.6
 """Layout of the contact sheet [inch]."""
-SUPERSAMPLING = 2
+LEGEND_CHARACTER = 0.066
+"""Mean width of a character of the legend [inch]."""
 DPI = 150
 
-STRESS_COLORS, STRESS_COLOR_RANGE = "magma_r", (0.03, 0.86)
-"""A colour map from light to dark, without its ends, in which shading would not show."""
-STRESS_EXPONENT = 0.5
-"""Colour grows with this power of the stress: most of a grasped body bears a small fraction of the peak."""
-STRESS_PERCENTILE = 99.5
-"""Of the nodes; what lies above has the last colour, so that one corner does not take the whole scale."""
+CAPTION_COLUMNS = [(name, title.replace("max", "peak"), *rest) for name, title, *rest in METRIC_COLUMNS[:2]]
+"""What stands below a panel: peak stress and deformation."""
+ZOOM_SPREAD = 1.35
+"""Panels of a sheet have one scale, but for those that would need so much more room than the others."""
 
-FINGER_COLOR, FINGER_OUTLINE, FINGER_OPACITY = np.array([0.45, 0.55, 0.68]), np.array([0.15, 0.2, 0.3]), 0.42
-IDLE_COLOR, IDLE_FINGER_OPACITY = np.array([0.82, 0.82, 0.82]), 0.25
-PLATFORM_COLOR, PLATFORM_THICKNESS, PLATFORM_MARGIN = np.array([0.9, 0.91, 0.93]), 0.003, 0.012
-FILLET_POINTS = 6
-"""Points across a rounded edge."""
 AXIS_COLORS = ("#d62728", "#2ca02c", "#1f77b4")
+AXIS_NAMES = ("x: pad width", "y: closing", "z: approach")
 AXIS_LENGTH, FORCE_LENGTH = 0.25, 0.35
 """Of the axes and of the largest force, in half heights of the picture."""
 FORCE_COLOR, HELD_COLOR, FAILED_COLOR, TEXT_COLOR = "#00838f", "#1b7f3b", "#b3261e", "#3c4043"
-
-BOX_CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-BOX_TRIANGLES = np.array(
-    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
-    + [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
-)
 
 
 def draw_evaluation(
@@ -81,13 +65,14 @@ def draw_evaluation(
     import matplotlib.figure
 
     figure = matplotlib.figure.Figure(figsize=(11.0, 7.4), dpi=DPI, facecolor="white")
-    scene = _Scene(object_model, gripper, grasp, evaluation)
-    stress = _stress_scale([scene])
+    scene = Scene.of_evaluation(object_model, gripper, grasp, evaluation)
+    stress = stress_scale([scene.nodal_stress] if scene.state else [])
     axes = figure.add_axes((0.01, 0.02, 0.66, 0.86))
-    _draw_scene(axes, scene, stress, scene.camera((LARGE_PANEL_PIXELS, LARGE_PANEL_PIXELS)), detailed=True)
+    camera = scene.camera((LARGE_PANEL_PIXELS, LARGE_PANEL_PIXELS))
+    _draw_scene(axes, scene, evaluation, stress, camera, detailed=True)
     title = f"{object_model.name}, grasp {grasp.id}"
     figure.text(0.03, 0.945, title, fontsize=17, weight="bold", va="center", parse_math=False)
-    subtitle = f"{_object_text(object_model)};  {scene.stage_name}"
+    subtitle = f"{_object_text(object_model)};  {_stage_name(evaluation)}"
     figure.text(0.03, 0.905, subtitle, fontsize=10, color=TEXT_COLOR, va="center")
     _write_numbers(figure, 0.70, 0.86, evaluation)
     if stress is not None:
@@ -114,21 +99,22 @@ def draw_evaluations(
     import matplotlib.figure
 
     pairs = list(zip(grasps, evaluations, strict=True))
-    scenes = [_Scene(object_model, gripper, grasp, evaluation) for grasp, evaluation in pairs[:MAX_PANELS]]
-    stress = _stress_scale(scenes)
+    shown = pairs[:MAX_PANELS]
+    scenes = [Scene.of_evaluation(object_model, gripper, grasp, evaluation) for grasp, evaluation in shown]
+    stress = stress_scale(scene.nodal_stress for scene in scenes if scene.state)
+    cameras = _with_equal_scale([scene.camera((PANEL_PIXELS, PANEL_PIXELS)) for scene in scenes])
     columns = min(len(scenes), max(3, math.ceil(math.sqrt(1.6 * len(scenes)))))
     rows = math.ceil(len(scenes) / columns)
     width = max(PANEL_SIZE * columns, MIN_SHEET_WIDTH)
     height = HEAD + (PANEL_SIZE + CAPTION) * rows + FOOT
     margin = (width - PANEL_SIZE * columns) / 2.0
     figure = matplotlib.figure.Figure(figsize=(width, height), dpi=DPI, facecolor="white")
-    for index, scene in enumerate(scenes):
+    for index, (scene, camera, (grasp, evaluation)) in enumerate(zip(scenes, cameras, shown, strict=True)):
         row, column = divmod(index, columns)
         left, bottom = margin + PANEL_SIZE * column, height - HEAD - PANEL_SIZE * (row + 1) - CAPTION * row
         axes = figure.add_axes((left / width, bottom / height, PANEL_SIZE / width, PANEL_SIZE / height))
-        camera = scene.camera((PANEL_PIXELS, PANEL_PIXELS))
-        _draw_scene(axes, scene, stress, camera, detailed=False)
-        _write_caption(axes, scene)
+        _draw_scene(axes, scene, evaluation, stress, camera, detailed=False)
+        _write_caption(axes, grasp, evaluation)
     held = sum(evaluation.metrics.pickup_success for _, evaluation in pairs)
     title = f"{object_model.name}: {held} of {len(pairs)} grasps picked up"
     if len(pairs) > MAX_PANELS:
@@ -137,147 +123,52 @@ def draw_evaluations(
     figure.text(
         0.2 / width, 1.0 - 0.62 / height, _object_text(object_model), fontsize=9.5, color=TEXT_COLOR, va="center"
     )
+    _write_legend(figure, width - 0.2, 0.22, width, height)
     if stress is not None:
         length = min(5.0, 0.6 * width)
-        _add_colorbar(figure, ((width - length) / 2.0 / width, 0.42 / height, length / width, 0.12 / height), stress)
+        _add_colorbar(figure, ((width - length) / 2.0 / width, 0.95 / height, length / width, 0.12 / height), stress)
     figure.savefig(path, format="png")
 
 
-@dataclass(frozen=True)
-class _Scene:
-    """What there is to draw of one evaluation."""
-
-    object_model: ObjectModel
-    gripper: Gripper
-    grasp: Grasp
-    evaluation: GraspEvaluation
-
-    @property
-    def stage(self) -> str | None:
-        """The stage that is drawn; None if the object is drawn undeformed."""
-        return next((stage for stage in STAGES if stage in self.evaluation.fields), None)
-
-    @property
-    def stage_name(self) -> str:
-        """What is drawn, in words."""
-        return STAGES[self.stage] if self.stage else "before the grasp"
-
-    @property
-    def positions(self) -> np.ndarray:
-        """Nodes [m], shape ``(node, 3)``."""
-        return self.evaluation.fields[self.stage].positions if self.stage else self.object_model.mesh.vertices
-
-    @property
-    def nodal_stress(self) -> np.ndarray | None:
-        """Von Mises stress [Pa], mean of the adjacent elements weighted by volume, shape ``(node,)``."""
-        if self.stage is None:
-            return None
-        return self.object_model.mesh.nodal_mean(self.evaluation.fields[self.stage].von_mises_stress)
-
-    @property
-    def fingers(self) -> list[np.ndarray]:
-        """Vertices of the two fingers in the object frame [m], each of shape ``(vertex, 3)``."""
-        opening = self.evaluation.fields[self.stage].opening if self.stage else self.gripper.max_opening
-        shape, _ = _finger_surface(self.gripper)
-        placed = [(shape + [0.0, opening, 0.0]) * [1.0, side, 1.0] for side in (1.0, -1.0)]
-        return [self.grasp.position + vertices @ self.grasp.rotation.T for vertices in placed]
-
-    @property
-    def platform(self) -> np.ndarray | None:
-        """Corners of the platform [m], shape ``(8, 3)``; None once it has gone."""
-        if self.stage not in (None, PLATFORM_STAGE):
-            return None
-        low, high = self.positions.min(axis=0), self.positions.max(axis=0)
-        low[:2] -= PLATFORM_MARGIN
-        high[:2] += PLATFORM_MARGIN
-        low[2], high[2] = low[2] - PLATFORM_THICKNESS, low[2]
-        return low + BOX_CORNERS * (high - low)
-
-    def camera(self, shape: tuple[int, int]) -> Camera:
-        """Return a view of everything, with so many rows and columns of pixels."""
-        everything = [self.positions, *self.fingers, *([] if self.platform is None else [self.platform])]
-        return Camera.around(np.concatenate(everything), AZIMUTH, ELEVATION, shape)
-
-    def layers(self, camera: Camera, stress: ScalarMappable | None) -> list[Layer]:
-        """Return object, fingers and platform as the camera sees them."""
-        held = self.stage is not None
-        surface = self.object_model.mesh.surface_triangles
-        colors = stress.to_rgba(self.nodal_stress)[:, :3] if held else IDLE_COLOR
-        layers = [solid(camera, self.positions, surface, colors)]
-        _, left = _finger_surface(self.gripper)
-        for vertices, triangles in zip(self.fingers, (left, left[:, ::-1]), strict=True):
-            opacity = FINGER_OPACITY if held else IDLE_FINGER_OPACITY
-            finger = solid(camera, vertices, triangles, FINGER_COLOR if held else IDLE_COLOR, opacity)
-            layers.append(with_outline(finger, FINGER_OUTLINE, SUPERSAMPLING))
-        if self.platform is not None:
-            layers.append(solid(camera, self.platform, BOX_TRIANGLES, PLATFORM_COLOR))
-        return layers
+def _with_equal_scale(cameras: list[Camera]) -> list[Camera]:
+    """Return cameras that show things equally large, but for those that must show much more than the others."""
+    typical = float(np.median([camera.half_height for camera in cameras]))
+    largest = max(camera.half_height for camera in cameras if camera.half_height <= ZOOM_SPREAD * typical)
+    return [dataclasses.replace(camera, half_height=max(camera.half_height, largest)) for camera in cameras]
 
 
-def _finger_surface(gripper: Gripper) -> tuple[np.ndarray, np.ndarray]:
-    """Return the left finger with its pad face in the plane y = 0 and rounded edges.
-
-    Returns:
-        Vertices in the grasp frame [m], shape ``(vertex, 3)``, and triangles, counter-clockwise from outside.
-    """
-    arc = np.sin(np.linspace(0.0, np.pi / 2.0, FILLET_POINTS))
-    side = gripper.pad_half_width + gripper.side_fillet * arc
-    tip = gripper.pad_top + gripper.tip_fillet * arc
-    across = _distinct(-side, side)
-    along = _distinct([gripper.pad_bottom, gripper.tip], tip)
-    x, z = np.meshgrid(across, along, indexing="ij")
-    layers = [gripper.pad_drop(x, z), np.full_like(x, gripper.finger_thickness)]
-    vertices = np.concatenate([np.column_stack([x.ravel(), y.ravel(), z.ravel()]) for y in layers])
-    number = np.arange(x.size).reshape(x.shape)
-    a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
-    face = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
-    following, back = np.roll(rim, -1), x.size
-    wall = [[rim, rim + back, following + back], [rim, following + back, following]]
-    return vertices, np.concatenate([face, face[:, ::-1] + back, *(np.column_stack(half) for half in wall)])
-
-
-def _distinct(*coordinates: Sequence[float]) -> np.ndarray:
-    """Return coordinates in ascending order, those once that differ by rounding only [m]."""
-    return np.unique(np.round(np.concatenate(coordinates), 12))
-
-
-def _stress_scale(scenes: Sequence[_Scene]) -> ScalarMappable | None:
-    """Return the colours of stress [Pa] that suit all scenes; None if no scene has stress."""
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import ListedColormap, PowerNorm
-
-    peaks = [np.percentile(scene.nodal_stress, STRESS_PERCENTILE) for scene in scenes if scene.stage]
-    if not peaks:
-        return None
-    colors = ListedColormap(colormaps[STRESS_COLORS](np.linspace(*STRESS_COLOR_RANGE, 256)))
-    return ScalarMappable(PowerNorm(STRESS_EXPONENT, 0.0, max(*peaks, 1e-9), clip=True), colors)
-
-
-def _draw_scene(axes: Axes, scene: _Scene, stress: ScalarMappable | None, camera: Camera, detailed: bool) -> None:
+def _draw_scene(
+    axes: Axes,
+    scene: Scene,
+    evaluation: GraspEvaluation,
+    stress: ScalarMappable | None,
+    camera: Camera,
+    detailed: bool,
+) -> None:
     """Draw into axes whose coordinates become those of the camera [m]."""
     fine = Camera(
         camera.centre, camera.rotation, camera.half_height, tuple(SUPERSAMPLING * side for side in camera.shape)
     )
     softness = 0.012 * fine.shape[0]
-    image = downsample(compose(scene.layers(fine, stress), np.ones(3), softness), SUPERSAMPLING)
+    colors = stress.to_rgba(scene.nodal_stress)[:, :3] if scene.state else None
+    image = downsample(compose(scene.layers(fine, colors), np.ones(3), softness), SUPERSAMPLING)
     axes.imshow(image, extent=camera.extent, interpolation="antialiased")
     axes.set_axis_off()
-    _draw_forces(axes, scene, camera, detailed)
+    if scene.state:
+        _draw_forces(axes, evaluation, camera, detailed)
     _draw_axes(axes, scene, camera, detailed)
     _draw_scale_bar(axes, camera)
 
 
-def _draw_forces(axes: Axes, scene: _Scene, camera: Camera, detailed: bool) -> None:
+def _draw_forces(axes: Axes, evaluation: GraspEvaluation, camera: Camera, detailed: bool) -> None:
     """Draw the force of each contact point on the object as an arrow that ends at the point, pale if behind it."""
-    if scene.stage is None or not scene.evaluation.contacts:
+    if not evaluation.contacts:
         return
-    positions = np.concatenate([contact.positions for contact in scene.evaluation.contacts])
-    forces = np.concatenate([contact.forces for contact in scene.evaluation.contacts])
+    positions = np.concatenate([contact.positions for contact in evaluation.contacts])
+    forces = np.concatenate([contact.forces for contact in evaluation.contacts])
     if len(forces) == 0:
         return
-    normals = np.concatenate([contact.normals for contact in scene.evaluation.contacts])
+    normals = np.concatenate([contact.normals for contact in evaluation.contacts])
     is_behind = normals @ camera.rotation[2] > 0.0
     arrows = forces / np.linalg.norm(forces, axis=1).max() * (FORCE_LENGTH * camera.half_height)
     heads, tails = camera.view(positions)[:, :2], camera.view(positions - arrows)[:, :2]
@@ -285,7 +176,7 @@ def _draw_forces(axes: Axes, scene: _Scene, camera: Camera, detailed: bool) -> N
         _draw_arrow(axes, tail, head, FORCE_COLOR, 1.8 if detailed else 1.0, opacity=0.4 if behind else 1.0)
 
 
-def _draw_axes(axes: Axes, scene: _Scene, camera: Camera, detailed: bool) -> None:
+def _draw_axes(axes: Axes, scene: Scene, camera: Camera, detailed: bool) -> None:
     """Draw the grasp frame: x across the pads, y closing, z approach."""
     length = AXIS_LENGTH * camera.half_height
     origin = camera.view(scene.grasp.position)[:2]
@@ -322,17 +213,11 @@ def _draw_scale_bar(axes: Axes, camera: Camera) -> None:
     """Draw a bar of a round length, about a fifth of the picture's width."""
     left, right, bottom, _ = camera.extent
     width = right - left
-    length = max(step for step in _round_numbers(1e-4, 0.2 * width))
+    length = max(step for step in round_numbers(1e-4, 0.2 * width))
     start, level = left + 0.04 * width, bottom + 0.01 * width
     axes.plot([start, start + length], [level, level], color=TEXT_COLOR, linewidth=1.6, solid_capstyle="butt")
     label = f"{length * 1e3:g} mm"
     axes.text(start + length / 2.0, level + 0.012 * width, label, fontsize=7, color=TEXT_COLOR, ha="center")
-
-
-def _round_numbers(low: float, high: float) -> list[float]:
-    """Return the numbers 1, 2 and 5 times a power of ten in the interval."""
-    powers = range(math.floor(math.log10(low)), math.floor(math.log10(high)) + 1)
-    return [step * 10.0**power for power in powers for step in (1.0, 2.0, 5.0) if low <= step * 10.0**power <= high]
 
 
 def _outcome(evaluation: GraspEvaluation) -> tuple[str, str]:
@@ -360,15 +245,35 @@ def _object_text(model: ObjectModel) -> str:
     )
 
 
-def _write_caption(axes: Axes, scene: _Scene) -> None:
+def _write_caption(axes: Axes, grasp: Grasp, evaluation: GraspEvaluation) -> None:
     """Write grasp, outcome and metrics below a panel."""
-    outcome, color = _outcome(scene.evaluation)
+    outcome, color = _outcome(evaluation)
     at = {"transform": axes.transAxes, "ha": "center", "va": "top"}
-    axes.text(0.5, 0.0, f"{scene.grasp.id}: {outcome}", color=color, fontsize=10, weight="bold", parse_math=False, **at)
-    metrics = scene.evaluation.metrics
-    numbers = [_number(getattr(metrics, name), factor, unit, style) for name, _, factor, unit, style in METRIC_COLUMNS]
-    known = any(number != "-" for number in numbers)
-    axes.text(0.5, -0.08, "   ".join(numbers) if known else scene.stage_name, color=TEXT_COLOR, fontsize=8, **at)
+    axes.text(0.5, 0.0, f"{grasp.id}: {outcome}", color=color, fontsize=10, weight="bold", parse_math=False, **at)
+    known = evaluation.metrics.pickup_success
+    numbers = [f"{title} {number}" for title, number in _rows(evaluation.metrics, CAPTION_COLUMNS)]
+    text = ",  ".join(numbers) if known else f"drawn {_stage_name(evaluation)}"
+    axes.text(0.5, -0.08, text, color=TEXT_COLOR, fontsize=8, **at)
+
+
+def _stage_name(evaluation: GraspEvaluation) -> str:
+    """Return what is drawn, in words."""
+    stage = drawn_stage(evaluation)
+    return STAGES[stage] if stage else "before the grasp"
+
+
+def _write_legend(figure: Figure, right: float, top: float, width: float, height: float) -> None:
+    """Say what the arrows are, in a line that ends at ``right`` [inch], ``top`` inches above the bottom."""
+    from matplotlib.patches import FancyArrowPatch
+
+    entries = [("contact force on the object", FORCE_COLOR), *zip(AXIS_NAMES, AXIS_COLORS, strict=True)]
+    for text, color in reversed(entries):
+        right -= LEGEND_CHARACTER * len(text)
+        figure.text(right / width, top / height, text, fontsize=8.5, color=TEXT_COLOR, va="center")
+        arrow = {"arrowstyle": "-|>", "mutation_scale": 8, "color": color, "linewidth": 1.5}
+        ends = [((right - offset) / width, top / height) for offset in (0.06, 0.28)]
+        figure.add_artist(FancyArrowPatch(ends[1], ends[0], transform=figure.transFigure, **arrow))
+        right -= 0.45
 
 
 def _write_numbers(figure: Figure, left: float, top: float, evaluation: GraspEvaluation) -> None:
@@ -410,8 +315,8 @@ def _add_colorbar(figure: Figure, bounds: tuple[float, float, float, float], str
     from matplotlib.ticker import EngFormatter
 
     bar = figure.colorbar(stress, cax=figure.add_axes(bounds), orientation="horizontal", extend="max")
-    bar.set_label("von Mises stress", fontsize=9)
-    bar.set_ticks([0.0, *_round_numbers(stress.norm.vmax / 12.0, stress.norm.vmax)])
+    bar.set_label("von Mises stress, mean at the nodes", fontsize=9)
+    bar.set_ticks([0.0, *round_numbers(stress.norm.vmax / 12.0, stress.norm.vmax)])
     bar.ax.minorticks_off()
     bar.ax.xaxis.set_major_formatter(EngFormatter("Pa"))
     bar.ax.tick_params(labelsize=8)

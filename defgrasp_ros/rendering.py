@@ -131,14 +131,34 @@ def compose(layers: list[Layer], background: np.ndarray, softness: float) -> np.
         background: RGB, shape ``(3,)`` or ``(row, column, 3)``.
         softness: Width of the shading around things in front of others [pixel].
     """
-    image = np.empty((*layers[0].depth.shape, 3))
+    image = _blended(layers, background)
+    return np.clip(image * _occlusion(layers, softness)[..., None], 0.0, 1.0)
+
+
+def compose_transparent(layers: list[Layer], softness: float) -> np.ndarray:
+    """Return the picture of all layers together without a ground: RGB and opacity, shape ``(row, column, 4)``.
+
+    Arguments as for ``compose``.
+    """
+    # Six channels: the same layers over black and over white; what differs shines through.
+    both = _blended(layers, np.repeat([0.0, 1.0], 3))
+    opacity = np.clip(1.0 - (both[..., 3:] - both[..., :3]).mean(axis=-1, keepdims=True), 0.0, 1.0)
+    color = both[..., :3] / np.maximum(opacity, 1e-9) * _occlusion(layers, softness)[..., None]
+    return np.concatenate([np.clip(color, 0.0, 1.0), opacity], axis=-1)
+
+
+def _blended(layers: list[Layer], background: np.ndarray) -> np.ndarray:
+    """Return the layers over a background of three channels, or of several times three."""
+    channels = np.shape(background)[-1]
+    image = np.empty((*layers[0].depth.shape, channels))
     image[:] = background
     order = np.argsort(np.stack([layer.depth for layer in layers]), axis=0)
     for rank in order:
         for index, layer in enumerate(layers):
             here = layer.mask & (rank == index)
-            image[here] += layer.opacity * (layer.color[here] - image[here])
-    return np.clip(image * _occlusion(layers, softness)[..., None], 0.0, 1.0)
+            color = np.tile(layer.color[here], channels // 3)
+            image[here] += layer.opacity * (color - image[here])
+    return image
 
 
 def downsample(image: np.ndarray, factor: int) -> np.ndarray:

@@ -26,12 +26,13 @@ def isolated_ros() -> Iterator[None]:
 
 
 @contextmanager
-def running_evaluator(log_directory: Path) -> Iterator[subprocess.Popen]:
+def running_evaluator(log_directory: Path, **parameters: object) -> Iterator[subprocess.Popen]:
     """Run the evaluator until the end of the block, in the environment of this process; its output is printed."""
-    command = [sys.executable, "-m", "defgrasp_ros.ros.evaluator_node"]
-    parameters = ["--ros-args", "-p", f"record.directory:={log_directory}"]
+    command = [sys.executable, "-m", "defgrasp_ros.ros.evaluator_node", "--ros-args"]
+    values = {"record.directory": log_directory, **parameters}
+    given = [part for name, value in values.items() for part in ("-p", f"{name}:={value}")]
     with open(log_directory / "evaluator.txt", "w+") as output:
-        process = subprocess.Popen([*command, *parameters], stdout=output, stderr=subprocess.STDOUT)
+        process = subprocess.Popen([*command, *given], stdout=output, stderr=subprocess.STDOUT)
         try:
             yield process
         finally:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from defgrasp_ros.configuration import config_file
 from defgrasp_ros.errors import (
@@ -31,8 +33,6 @@ from defgrasp_ros.evaluation import (
     GraspEvaluation,
     GraspFeatures,
     GraspMetrics,
-    GraspSample,
-    Phase,
     PickupCourse,
     ReorientationResult,
     SolverReport,
@@ -49,7 +49,7 @@ pytest.importorskip("rclpy")
 from defgrasp_ros.ros.fields import time_message  # noqa: E402
 from defgrasp_ros.ros.object_registry import ObjectRegistry  # noqa: E402
 from defgrasp_ros.ros.object_source import MeshData, MeshFile, RegisteredObject, Surface  # noqa: E402
-from defgrasp_ros.ros.parameters import EXPERIMENT, PARAMETERS, parameters_yaml  # noqa: E402
+from defgrasp_ros.ros.parameters import EXPERIMENT, PARAMETERS, parameters_markdown, parameters_yaml  # noqa: E402
 from defgrasp_ros.ros.request_conversion import (  # noqa: E402
     grasp_from_message,
     grasp_to_message,
@@ -61,7 +61,6 @@ from defgrasp_ros.ros.request_conversion import (  # noqa: E402
     options_to_message,
 )
 from defgrasp_ros.ros.result_conversion import NUMBERS, evaluation_from_message, evaluation_to_message  # noqa: E402
-from defgrasp_ros.ros.state_conversion import sample_to_contact_state, sample_to_joint_state  # noqa: E402
 
 BLOCK = box((0.04, 0.03, 0.02), (2, 2, 1))
 LIMIT = 10_000
@@ -139,7 +138,7 @@ def test_options_survive_the_message_and_zero_takes_the_default() -> None:
     options = EvaluationOptions(**doubled, experiments={"squeeze", "linear_acceleration"})
     assert options_from_message(options_to_message(options), EvaluationOptions()) == options
     only_hold = msg.ExperimentOptions(pickup_hold_time=1.0)
-    expected = dataclasses.replace(options, pickup_hold_time=1.0, reorientation_settles=True, return_fields=False)
+    expected = dataclasses.replace(options, pickup_hold_time=1.0, return_fields=False)
     assert options_from_message(only_hold, options) == expected
 
 
@@ -350,36 +349,46 @@ def test_evaluation_that_measured_nothing_survives_the_message() -> None:
     assert math.isnan(back.target_force)
 
 
-def test_sample_becomes_joints_and_contacts() -> None:
-    """Both fingers share opening and force; sums over contacts are those of the sample."""
-    fingers = (contact("left_finger", 2), contact("right_finger", 1))
-    palm_force = np.array([0.0, 0.1, 0.2])
-    sample = GraspSample(4, "top", Phase.SQUEEZE, 0.5, 0.02, -0.01, 3.0, fingers, 0.7, palm_force)
-    joints = sample_to_joint_state(sample, STAMP)
-    assert list(joints.name) == ["left_finger_joint", "right_finger_joint"]
-    assert list(joints.position) == [0.02, 0.02]
-    assert list(joints.velocity) == [-0.01, -0.01]
-    assert list(joints.effort) == [1.5, 1.5]
-    assert joints.header.frame_id == "top"
-    contacts = sample_to_contact_state(sample, STAMP)
-    assert (contacts.grasp_id, contacts.grasp_index, contacts.platform_force) == ("top", 4, 0.7)
-    assert [finger.count for finger in contacts.fingers] == [2, 1]
-    left = contacts.fingers[0]
-    assert left.normal_force == pytest.approx(1.5 + 4.5)
-    assert (left.tangential_force.x, left.tangential_force.y) == pytest.approx((0.5 + 3.5, 0.0))
-    assert contacts.normal_force == pytest.approx(sum(finger.normal_force for finger in fingers))
-
-
 def test_parameter_file_is_that_of_the_table() -> None:
     """config/evaluator.yaml is what the table of parameters prints."""
     assert config_file("evaluator.yaml").read_text() == parameters_yaml()
 
 
+def test_parameter_table_of_the_documentation_is_that_of_the_code() -> None:
+    """docs/ros.md has the table that the code prints."""
+    page = (Path(__file__).resolve().parents[1] / "docs" / "ros.md").read_text()
+    assert parameters_markdown() in page
+
+
+def test_parameter_file_may_be_taken_as_it_is_or_in_full() -> None:
+    """What a user keeps or fills in has the names of the table; only what the preset decides about is left out."""
+
+    def names(values: dict, prefix: str = "") -> Iterator[str]:
+        for name, value in values.items():
+            yield from names(value, f"{prefix}{name}.") if isinstance(value, dict) else [prefix + name]
+
+    def read(text: str) -> set[str]:
+        return set(names(yaml.safe_load(text)["/**"]["ros__parameters"]))
+
+    every = {parameter.name for parameter in PARAMETERS}
+    assert read(parameters_yaml()) == {name for name in every if not name.startswith(EXPERIMENT)}
+    assert read(parameters_yaml().replace("#: ", "")) == every
+
+
 def test_every_option_has_its_parameter() -> None:
-    """What can be left out in a request, all but booleans, has a parameter."""
-    numbers = [field.name for field in dataclasses.fields(EvaluationOptions) if not isinstance(field.default, bool)]
+    """What belongs to the protocol has a parameter; whether fields are returned is the caller's own decision."""
+    options = [field.name for field in dataclasses.fields(EvaluationOptions) if field.name != "return_fields"]
     parameters = [row.name.removeprefix(EXPERIMENT) for row in PARAMETERS if row.name.startswith(EXPERIMENT)]
-    assert parameters == numbers
+    assert parameters == options
+
+
+def test_states_settle_where_request_and_evaluator_say_so() -> None:
+    """A bool of a message has no third value, so either side can switch settling off."""
+    for asked in (True, False):
+        for own in (True, False):
+            message = msg.ExperimentOptions(reorientation_settles=asked)
+            options = options_from_message(message, EvaluationOptions(reorientation_settles=own))
+            assert options.reorientation_settles is (asked and own)
 
 
 def test_booleans_of_a_message_left_alone_are_the_defaults() -> None:

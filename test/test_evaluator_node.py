@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from threading import Thread
@@ -21,6 +22,7 @@ from defgrasp_ros.object_model import ObjectModel
 rclpy = pytest.importorskip("rclpy")
 pytest.importorskip("defgrasp_interfaces.msg", reason="the message definitions are not built")
 
+from defgrasp_interfaces.msg import EvaluatorStatus  # noqa: E402
 from rclpy.executors import MultiThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
@@ -52,6 +54,7 @@ def held(
 def node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[EvaluatorNode]:
     """A spinning evaluator in this process, alone on its domain, that simulates nothing."""
     monkeypatch.setattr("defgrasp_ros.experiments.evaluate_grasps", held)
+    monkeypatch.setattr("defgrasp_ros.simulation.simulator.prepare_device", lambda name: None)
     with isolated_ros():
         rclpy.init()
         node = EvaluatorNode()
@@ -60,6 +63,9 @@ def node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[EvaluatorN
         spinner = Thread(target=executor.spin)
         spinner.start()
         set_parameter(node, "record.directory", str(tmp_path / "logs"))
+        with GraspEvaluatorClient() as client:
+            while client.info(60.0).status.state == EvaluatorStatus.STATE_INACTIVE:
+                pass
         yield node
         node.stop()
         executor.shutdown()
@@ -109,6 +115,40 @@ def test_failing_simulation_is_an_answer(
     assert ask().code == ResultCode.OK
 
 
+def failing_after(done: int, error: Exception) -> object:
+    def evaluate_grasps(object_model, grasps, gripper, options, device, observer) -> list[GraspEvaluation]:
+        held(object_model, grasps[:done], gripper, options, device, observer)
+        raise error
+
+    return evaluate_grasps
+
+
+def test_failure_in_the_middle_leaves_what_is_finished(node: EvaluatorNode, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first grasp keeps its evaluation, the second has the code of the failure, and so has the goal."""
+    error = SolverDivergedError("step 3 has no solution")
+    monkeypatch.setattr("defgrasp_ros.experiments.evaluate_grasps", failing_after(1, error))
+    grasps = [Grasp(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), id=id) for id in ("first", "second")]
+    with GraspEvaluatorClient() as client:
+        answer = client.evaluate_grasps(BLOCK, Material(), grasps, timeout=60.0)
+    assert answer.code == ResultCode.SOLVER_DIVERGED
+    found = [(each.grasp_id, each.code) for each in answer.evaluations]
+    assert found == [("first", ResultCode.OK), ("second", ResultCode.SOLVER_DIVERGED)]
+    assert "step 3 has no solution" in answer.evaluations[1].message and "step 3" in answer.message
+
+
+def test_error_of_the_callers_function_is_the_callers(node: EvaluatorNode) -> None:
+    """What ``on_evaluation`` raises comes out of the call, and the client goes on working."""
+
+    def complain(_: GraspEvaluation) -> None:
+        raise KeyError("mine")
+
+    grasp = Grasp(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    with GraspEvaluatorClient() as client:
+        with pytest.raises(KeyError, match="mine"):
+            client.evaluate_grasps(BLOCK, Material(), [grasp], on_evaluation=complain, timeout=60.0)
+        assert client.evaluate_grasps(BLOCK, Material(), [grasp], timeout=60.0).code == ResultCode.OK
+
+
 def test_log_that_cannot_be_written_does_not_stop_the_evaluation(node: EvaluatorNode, tmp_path: Path) -> None:
     """The grasp is evaluated, and the text says why there is no log; the next run is logged again."""
     (tmp_path / "file").touch()
@@ -121,6 +161,32 @@ def test_log_that_cannot_be_written_does_not_stop_the_evaluation(node: Evaluator
     answer = ask()
     assert answer.log_path is not None
     assert "not logged" not in answer.message
+
+
+def test_log_that_reaches_its_size_ends_and_the_evaluation_goes_on(node: EvaluatorNode, tmp_path: Path) -> None:
+    """The grasp is evaluated, the text tells the limit, and what is in the log can be read."""
+    set_parameter(node, "record.max_size", 0.3)
+    answer = ask(object_name=os.urandom(300_000).hex())
+    assert answer.code == ResultCode.OK
+    assert "the log is not complete" in answer.message
+    assert "largest size, 0.3 MB" in answer.message
+    (log,) = tmp_path.glob("logs/*/*.mcap")
+    assert log.stat().st_size <= 300_000
+    assert read_log(log).complete
+    set_parameter(node, "record.max_size", 0.0)
+    assert "not complete" not in ask().message
+
+
+def test_only_the_topics_asked_for_are_logged(node: EvaluatorNode, tmp_path: Path) -> None:
+    """A log holds the named topics and the request; a name that no topic has is refused."""
+    set_parameter(node, "record.topics", "evaluations, ~/status")
+    answer = ask()
+    assert answer.log_path is not None
+    names = {entry.topic.rpartition("/")[2] for entry in read_log(answer.log_path).messages}
+    assert names == {"request", "evaluations", "status"}
+    (result,) = node.set_parameters([Parameter("record.topics", value="evaluation")])
+    assert not result.successful
+    assert "no topic 'evaluation'" in result.reason
 
 
 def test_log_can_be_switched_off(node: EvaluatorNode, tmp_path: Path) -> None:
@@ -140,7 +206,13 @@ def test_options_left_out_are_the_parameters(node: EvaluatorNode) -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("gripper", "lobster"), ("experiment.time_step", -1.0), ("max_grasps", 0), ("publish.sample_rate", 1e9)],
+    [
+        ("gripper", "lobster"),
+        ("device", "tpu"),
+        ("experiment.time_step", -1.0),
+        ("max_grasps", 0),
+        ("publish.sample_rate", 1e9),
+    ],
 )
 def test_impossible_parameter_is_refused(node: EvaluatorNode, name: str, value: object) -> None:
     """A value outside its range is not taken, and the reason is told."""

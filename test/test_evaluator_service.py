@@ -377,7 +377,7 @@ def test_killed_evaluator_leaves_a_readable_log(tmp_path: Path) -> None:
     assert not run.complete
     assert len(run.on("request")) == 1
     assert len(run.on("contacts")) > 20
-    assert len(run.on("joint_states")) == pytest.approx(len(run.on("contacts")), abs=1)
+    assert len(run.on("all_joint_states")) == pytest.approx(len(run.on("contacts")), abs=1)
     assert run.on("status")
 
 

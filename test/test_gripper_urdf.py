@@ -45,11 +45,11 @@ def test_pads_of_the_urdf_are_where_the_description_has_them(name):
 
 @pytest.mark.parametrize("name", gripper_names())
 def test_urdf_is_a_tree_with_sound_masses(name):
-    """Each link but the base is the child of one joint, and inertias obey the triangle inequality."""
+    """Each link but the world is the child of one joint, and inertias obey the triangle inequality."""
     robot = ElementTree.fromstring(gripper_urdf(load_gripper(name)).encode())
     links = {link.get("name") for link in robot.findall("link")}
     children = [joint.find("child").get("link") for joint in robot.findall("joint")]
-    assert links - set(children) == {"gripper_base"} and len(children) == len(set(children))
+    assert links - set(children) == {"world"} and len(children) == len(set(children))
     for inertia in robot.iter("inertia"):
         x, y, z = (float(inertia.get(key)) for key in ("ixx", "iyy", "izz"))
         assert min(x, y, z) > 0.0 and 2.0 * max(x, y, z) < x + y + z + 1e-12

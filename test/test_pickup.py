@@ -39,8 +39,8 @@ class Witness(EvaluationObserver):
     def on_progress(self, progress):
         self.progress.append(progress)
 
-    def on_sample(self, sample):
-        self.samples.append(sample)
+    def on_samples(self, samples):
+        self.samples += samples
 
     def on_evaluation(self, evaluation):
         self.evaluations.append(evaluation)
@@ -162,6 +162,39 @@ def test_the_observer_sees_the_run(run):
     assert settled.platform_force + pads == pytest.approx(model.weight, rel=1e-4)
 
 
+def test_observing_changes_nothing():
+    """An observer that wants no samples gets none, and the results are bit by bit those of one that reads all."""
+
+    class Blind(Witness):
+        def wants_samples(self):
+            return False
+
+    class Reader(Witness):
+        def on_samples(self, samples):
+            self.samples += [sample.read_fields() for sample in samples]
+
+    blind, reader = Blind(), Reader()
+    short = EvaluationOptions(pickup_hold_time=0.1, squeeze_time=0.05, platform_speed=1.0)
+    for observer in (blind, reader):
+        evaluate_grasps(block(), [grasp("held")], load_gripper(), short, observer=observer)
+    assert not blind.samples and reader.samples
+    (unseen,), (seen,) = blind.evaluations, reader.evaluations
+    assert (unseen.metrics, unseen.features, unseen.solver) == (seen.metrics, seen.features, seen.solver)
+
+
+def test_fields_of_the_last_sample_are_those_of_the_metrics():
+    """Displacement and stress that are shown at the end of the hold lead to the evaluation's own numbers."""
+
+    class Reader(EvaluationObserver):
+        def on_samples(self, samples):
+            self.fields = samples[0].read_fields()
+
+    model, reader = block(), Reader()
+    (evaluation,) = evaluate_grasps(model, [grasp("held")], load_gripper(), OPTIONS, observer=reader)
+    assert reader.fields.displacement.max() == pytest.approx(evaluation.metrics.max_deformation, rel=1e-2)
+    np.testing.assert_allclose(reader.fields.positions, evaluation.fields["post_pickup"].positions, atol=1e-5)
+    nodal = model.mesh.nodal_mean(evaluation.fields["post_pickup"].von_mises_stress)
+    np.testing.assert_allclose(reader.fields.von_mises_stress, nodal, rtol=2e-2)
 def test_the_course_of_a_pickup(run):
     """Time rises; both pads carry the target force in the hold, the platform the weight before and nothing then."""
     model, evaluations, _ = run
@@ -268,7 +301,7 @@ def test_batches_give_what_one_batch_gives(monkeypatch):
     """More grasps than fit into a batch come out as they do together."""
     model, grasps = block(2e5), [grasp(str(i), position=(0.0, 0.0, 0.002 * i)) for i in range(3)]
     together = evaluate_grasps(model, grasps, load_gripper(), OPTIONS)
-    monkeypatch.setattr(evaluate, "MAX_BATCH", 2)
+    monkeypatch.setitem(evaluate.MAX_BATCH, "cpu", 2)
     apart = evaluate_grasps(model, grasps, load_gripper(), OPTIONS)
     for one, other in zip(together, apart, strict=True):
         assert one.code is other.code and one.grasp_index == other.grasp_index

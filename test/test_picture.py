@@ -11,8 +11,9 @@ from defgrasp_ros.gripper import load_gripper
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.shapes import box
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.picture import _finger_surface, _Scene, draw_evaluation, draw_evaluations
+from defgrasp_ros.picture import draw_evaluation, draw_evaluations
 from defgrasp_ros.rendering import Camera, compose, solid
+from defgrasp_ros.scene import Scene, finger_surface
 
 RED, BLUE = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 FROM_ABOVE = [1.0, 0.0, 0.0, 0.0]
@@ -95,7 +96,7 @@ def test_fingers_stand_where_the_gripper_says(model):
     grasp = Grasp([0.01, 0.02, 0.03], FROM_ABOVE)
     left, right = (
         (corners - grasp.position) @ grasp.rotation
-        for corners in _Scene(model, gripper, grasp, held(model, grasp)).fingers
+        for corners in Scene.of_evaluation(model, gripper, grasp, held(model, grasp)).fingers
     )
     assert left[:, 1].min() == pytest.approx(EXTENTS[1] / 2.0)
     assert left[:, 1].max() == pytest.approx(EXTENTS[1] / 2.0 + gripper.finger_thickness)
@@ -103,7 +104,7 @@ def test_fingers_stand_where_the_gripper_says(model):
     for finger in (left, right):
         assert (finger[:, 2].min(), finger[:, 2].max()) == pytest.approx((gripper.pad_bottom, gripper.tip))
         assert np.ptp(finger[:, 0]) == pytest.approx(2.0 * gripper.finger_half_width)
-    open_left = _Scene(model, gripper, grasp, missed(grasp)).fingers[0] @ grasp.rotation
+    open_left = Scene.of_evaluation(model, gripper, grasp, missed(grasp)).fingers[0] @ grasp.rotation
     assert open_left[:, 1].min() - (grasp.position @ grasp.rotation)[1] == pytest.approx(gripper.max_opening)
 
 
@@ -112,7 +113,7 @@ def test_fingers_are_closed_and_rounded():
     import trimesh
 
     gripper = load_gripper()
-    finger = trimesh.Trimesh(*_finger_surface(gripper))
+    finger = trimesh.Trimesh(*finger_surface(gripper))
     length, width = gripper.tip - gripper.pad_bottom, 2.0 * gripper.finger_half_width
     cut = (1.0 - np.pi / 4.0) * (2.0 * gripper.side_fillet**2 * length + gripper.tip_fillet**2 * width)
     assert finger.is_watertight
@@ -124,10 +125,11 @@ def test_nodal_stress_is_a_mean_of_elements(model):
     grasp = Grasp(np.zeros(3), FROM_ABOVE)
     evaluation = held(model, grasp)
     evaluation.fields["post_pickup"].von_mises_stress[:] = 123.0
-    scene = _Scene(model, load_gripper(), grasp, evaluation)
+    scene = Scene.of_evaluation(model, load_gripper(), grasp, evaluation)
     np.testing.assert_allclose(scene.nodal_stress, 123.0)
     assert scene.platform is None
     evaluation.fields = {"at_target_force": evaluation.fields["post_pickup"]}
+    scene = Scene.of_evaluation(model, load_gripper(), grasp, evaluation)
     assert scene.platform[:, 2].max() == pytest.approx(-EXTENTS[2] / 2.0)
 
 

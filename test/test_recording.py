@@ -7,6 +7,9 @@ import os
 import resource
 import subprocess
 import sys
+import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -35,8 +38,12 @@ from defgrasp_interfaces.msg import (  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from shape_msgs.msg import MeshTriangle  # noqa: E402
 
-from defgrasp_ros.recording import RunLog, Topic, read_log  # noqa: E402
-from defgrasp_ros.recording.run_log import FLUSH_INTERVAL  # noqa: E402
+from defgrasp_ros.gripper import load_gripper  # noqa: E402
+from defgrasp_ros.gripper_urdf import gripper_urdf  # noqa: E402
+from defgrasp_ros.mesh.mesh_files import read_mesh_bytes  # noqa: E402
+from defgrasp_ros.mesh.shapes import box  # noqa: E402
+from defgrasp_ros.recording import LogReader, RunLog, Topic, read_log, run_attachments, run_log  # noqa: E402
+from defgrasp_ros.recording.bag_writer import FLUSH_INTERVAL, BagWriter  # noqa: E402
 
 TOPICS = (
     Topic("/evaluator/request", EvaluationRequest, depth=1, latched=True),
@@ -76,6 +83,14 @@ def example_evaluation() -> GraspEvaluation:
     return GraspEvaluation(
         grasp_id="päd", reorientation=[turned], linear_acceleration=[accelerated], squeeze=[squeezed]
     )
+
+
+def wait_until(condition: Callable[[], object]) -> None:
+    """Wait for what another thread does."""
+    end = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < end, "waited too long"
+        time.sleep(0.01)
 
 
 def write_example(directory: Path) -> tuple[Path, list[tuple[str, object]]]:
@@ -164,7 +179,7 @@ def test_bag_metadata_counts_the_messages(tmp_path: Path) -> None:
 
 def test_file_cut_at_any_byte_is_readable_up_to_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever is left of a file, its reader returns the first messages, and a longer rest never has fewer."""
-    monkeypatch.setattr("defgrasp_ros.recording.run_log.FLUSH_INTERVAL", 0.0)  # a chunk for each message
+    monkeypatch.setattr("defgrasp_ros.recording.bag_writer.FLUSH_INTERVAL", 0.0)  # a chunk for each message
     messages = example_messages()
     log = RunLog(tmp_path, "run", TOPICS, {"device": "cpu"})
     for topic, message in messages:
@@ -226,6 +241,7 @@ def test_full_disk_is_a_recording_error_and_leaves_a_readable_log(tmp_path: Path
     """When no more can be written the writer says so, and what was written before can be read."""
     log = RunLog(tmp_path, "run", TOPICS, {})
     log.write("/evaluator/request", example_messages()[0][1], publish_time=0)
+    wait_until(lambda: read_log(log.path).on("request"))
     _, hard_limit = soft_and_hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (log.path.stat().st_size + 1_000, hard_limit))
     try:
@@ -233,9 +249,10 @@ def test_full_disk_is_a_recording_error_and_leaves_a_readable_log(tmp_path: Path
         with pytest.raises(RecordingError, match="cannot write the log"):
             for _ in range(100):
                 log.write("/evaluator/status", noise, publish_time=0)
-        with pytest.raises(RecordingError, match="closed"):
-            log.write("/evaluator/status", noise, publish_time=0)
-        log.close()
+            log.close()
+        for again in (lambda: log.write("/evaluator/status", noise, publish_time=0), log.close):
+            with pytest.raises(RecordingError, match="cannot write the log"):
+                again()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, soft_and_hard)
     assert len(read_log(log.path).on("request")) == 1
@@ -252,3 +269,126 @@ def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(RecordingError, match="0 .mcap files"):
         read_log(tmp_path / "empty")
+
+
+def test_slow_disk_holds_the_caller_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While the disk does not take anything, no more waits in memory than allowed; afterwards nothing is missing."""
+    monkeypatch.setattr(run_log, "QUEUE_SIZE", 10_000)
+    disk_works = threading.Event()
+    write = BagWriter.write
+    monkeypatch.setattr(BagWriter, "write", lambda *arguments: disk_works.wait() and write(*arguments))
+    log = RunLog(tmp_path, "run", TOPICS, {})
+    started: list[int] = []
+
+    def simulate() -> None:
+        for number in range(100):
+            started.append(number)
+            log.write("/evaluator/status", EvaluatorStatus(run_id="x" * 1000, grasp_count=number), publish_time=0)
+
+    simulation = threading.Thread(target=simulate, daemon=True)
+    simulation.start()
+    message_size = 1_000
+    wait_until(lambda: log.statistics.queued_bytes > 10_000 - 2 * message_size)
+    time.sleep(0.1)
+    assert log.statistics.queued_bytes <= 10_000
+    assert len(started) <= 10_000 // message_size + 2, "one is being written, one waits for room"
+    disk_works.set()
+    simulation.join()
+    log.close()
+    assert log.statistics.waiting_time > 0.0
+    assert log.statistics.message_count == 100
+    assert log.statistics.queued_bytes == 0
+    run = read_log(log.path)
+    assert [message.grasp_count for message in run.on("status")] == list(range(100))
+
+
+def test_caller_that_waits_is_released_when_the_disk_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A writer that dies, for whatever reason, is an error of the next message and holds nobody up."""
+    monkeypatch.setattr(run_log, "QUEUE_SIZE", 1)
+
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError("bug")
+
+    monkeypatch.setattr(BagWriter, "write", fail)
+    log = RunLog(tmp_path, "run", TOPICS, {})
+    with pytest.raises(RecordingError, match="ZeroDivisionError: bug"):
+        for _ in range(10):
+            log.write("/evaluator/status", EvaluatorStatus(), publish_time=0)
+        log.close()
+
+
+@pytest.mark.parametrize("noise", [True, False], ids=["incompressible", "compressible"])
+def test_log_never_exceeds_its_largest_size(tmp_path: Path, noise: bool) -> None:
+    """A log that reaches its size ends with an error, complete with index and metadata, and uses most of the room."""
+    max_size = 300_000
+    attachments = run_attachments(box((0.04, 0.04, 0.04), (2, 2, 2)), load_gripper())
+    log = RunLog(tmp_path, "run", TOPICS, {"device": "cpu"}, attachments, max_size)
+    with pytest.raises(RecordingError, match="largest size, 0.3 MB"):
+        for _ in range(100_000):
+            log.write("/evaluator/status", EvaluatorStatus(run_id=os.urandom(500 * noise).hex()), publish_time=0)
+    with pytest.raises(RecordingError, match="largest size, 0.3 MB"):
+        log.close()
+    size = log.path.stat().st_size
+    assert 0.7 * max_size < size <= max_size
+    run = read_log(log.path)
+    assert run.complete
+    assert len(run.messages) > 100
+    bag = yaml.safe_load((log.path.parent / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert bag["message_count"] == len(run.messages)
+
+
+def test_message_may_change_after_it_was_written(tmp_path: Path) -> None:
+    """What is logged is the message at the time of the call, although it reaches the file later."""
+    status = EvaluatorStatus()
+    with RunLog(tmp_path, "run", TOPICS, {}) as log:
+        for number in range(50):
+            status.grasp_count = number
+            log.write("/evaluator/status", status, publish_time=0)
+    assert [message.grasp_count for message in read_log(log.path).on("status")] == list(range(50))
+
+
+def test_mesh_and_gripper_are_inside(tmp_path: Path) -> None:
+    """The attached tetrahedra read back bit for bit, and the URDF is the gripper's."""
+    mesh, gripper = box((0.03, 0.041, 0.07), (2, 3, 2)), load_gripper()
+    with RunLog(tmp_path, "run", TOPICS, {}, run_attachments(mesh, gripper)) as log:
+        pass
+    inside = read_log(log.path).attachments
+    read = read_mesh_bytes(inside["object.mesh"].data, "mesh")
+    np.testing.assert_array_equal(read.vertices, mesh.vertices)
+    np.testing.assert_array_equal(read.tetrahedra, mesh.tetrahedra)
+    assert inside["gripper.urdf"].data.decode() == gripper_urdf(gripper)
+
+
+def test_check_sums_of_the_format_hold(tmp_path: Path) -> None:
+    """mcap's own readers, with validation of every check sum, accept the file; one changed byte is found."""
+    from mcap.reader import make_reader
+    from mcap.stream_reader import CRCValidationError, StreamReader
+
+    path, messages = write_example(tmp_path)
+    with open(path, "rb") as stream:
+        indexed = make_reader(stream, validate_crcs=True)
+        assert len(list(indexed.iter_messages())) == len(messages)
+        assert indexed.get_summary().statistics.message_count == len(messages)
+    with open(path, "rb") as stream:
+        assert list(StreamReader(stream, validate_crcs=True).records)
+    content = bytearray(path.read_bytes())
+    content[content.index(b"cpu")] ^= 1
+    path.write_bytes(content)
+    with open(path, "rb") as stream, pytest.raises(CRCValidationError):
+        list(StreamReader(stream, validate_crcs=True).records)
+
+
+def test_definitions_are_those_that_are_installed(tmp_path: Path) -> None:
+    """The text of each type in the log begins with the installed .msg file, and holds those of all its parts."""
+    write_example(tmp_path)
+    share = Path(sys.prefix) / "share"
+    reader = LogReader(tmp_path / "run")
+    list(reader)
+    assert {topic.name for topic in TOPICS} == set(reader.topics)
+    for topic in reader.topics.values():
+        own, *parts = topic.schema.data.decode().split("=" * 80 + "\n")
+        assert own.rstrip() == (share / f"{topic.type_name}.msg").read_text().rstrip()
+        for part in parts:
+            title, text = part.split("\n", 1)
+            name = title.removeprefix("MSG: ").replace("/", "/msg/")
+            assert text.rstrip() == (share / f"{name}.msg").read_text().rstrip()

@@ -88,7 +88,8 @@ def frozen_without_gravity(batch: GraspBatch) -> dict[Candidate, WorldSnapshot |
     for some in chunks(chosen, batch.simulator.world_count):
         worlds = load_free(batch, some)
         forces = np.array([candidate.target_force for candidate in some])
-        outcome = ramp_closing_force(batch, worlds, some, np.zeros(len(some)), forces)
+        nothing = np.zeros(len(some))
+        outcome = ramp_closing_force(batch, worlds, some, nothing, forces, batch.options.squeeze_time)
         for w, candidate, failure in zip(worlds, some, outcome, strict=True):
             batch.simulator.freeze_fingers(np.array([w]))
             frozen[candidate] = failure or batch.simulator.save(w)
@@ -180,6 +181,12 @@ class AccelerationTest:
             report = self.simulator.step(worlds[active], self.h, forces[active], heights[active], quasi_static=False)
             self.batch.time += self.h
             now = self.simulator.normal_forces(worlds[active])[:, :2]
+            self.batch.sample(
+                worlds[active],
+                now.sum(axis=1),
+                [runs[i].candidate for i in active],
+                np.array([runs[i].number for i in active]),
+            )
             share_used = self._mobilised_friction([runs[i] for i in active], worlds[active])
             goes_on = np.ones(len(active), dtype=bool)
             for row, i in enumerate(active):

@@ -14,7 +14,6 @@ from defgrasp_ros.evaluation import (
     EvaluationOptions,
     Experiment,
     GraspEvaluation,
-    GraspSample,
     Phase,
     Progress,
 )
@@ -23,8 +22,8 @@ from defgrasp_ros.experiments.discretisation_error import StressRecovery
 from defgrasp_ros.experiments.interruption import Failure, Interruption
 from defgrasp_ros.experiments.metrics import von_mises_stress
 from defgrasp_ros.experiments.settling import SettledObject
+from defgrasp_ros.experiments.state_sampler import StateSampler
 from defgrasp_ros.grasp import Grasp
-from defgrasp_ros.simulation.kernels_faces import PALM, PLATFORM
 from defgrasp_ros.simulation.simulator import Simulator
 from defgrasp_ros.simulation.stepper import StepReport
 
@@ -77,8 +76,11 @@ class GraspBatch:
         self.model = self.simulator.model
         self.gripper = self.simulator.gripper
         self.time = start_time
+        self.experiment = Experiment.PICKUP
+        """What is being done."""
         self._started = time.monotonic()
-        self._next_sample = start_time
+        self._sampler = StateSampler(self.simulator, self.settled, self.observer)
+        self._next_record = start_time
         default_force = self.model.default_target_force(self.options.force_safety_factor)
         self.candidates = []
         for index, grasp in grasps.items():
@@ -138,35 +140,39 @@ class GraspBatch:
         overall = (done + within * len(self.candidates)) / self.run.grasp_count
         self.observer.on_progress(Progress(phase, overall, self.time, active, self.run.grasp_count))
 
-    def sample(self, worlds: np.ndarray, closing_force: np.ndarray) -> None:
-        """Record the state of the worlds that go on, once per sample interval, and show it to the observer."""
-        if self.time < self._next_sample:
+    def sample(
+        self,
+        worlds: np.ndarray,
+        closing_force: np.ndarray,
+        candidates: Sequence[Candidate] | None = None,
+        directions: np.ndarray | None = None,
+    ) -> None:
+        """Record the state of the worlds that go on, if this is the pickup, and show it to the observer.
+
+        Args:
+            worlds: Indices, shape ``(n,)``.
+            closing_force: With which the drive closes the pair of fingers [N], shape ``(n,)``.
+            candidates: The grasp in each world; None: those of the pickup.
+            directions: Of an experiment with several: which one each world is, shape ``(n,)``.
+        """
+        if candidates is None:
+            going = np.flatnonzero([not candidate.finished for candidate in self.of(worlds)])
+            worlds, closing_force, candidates = worlds[going], closing_force[going], self.of(worlds[going])
+            self._record(worlds, closing_force)
+        self._sampler.sample(self.time, self.experiment, worlds, candidates, closing_force, directions)
+
+    def _record(self, worlds: np.ndarray, closing_force: np.ndarray) -> None:
+        """Add the present state to the pickups' courses, once per interval, whatever the observer wants."""
+        if not len(worlds) or self.time < self._next_record:
             return
-        self._next_sample = self.time + self.observer.sample_interval
-        openings = self.simulator.openings(worlds)
-        velocities = self.simulator.opening_velocities(worlds)
-        forces = self.simulator.contact_forces(worlds)
-        positions = self.simulator.positions(worlds)
+        self._next_record = self.time + EvaluationObserver.sample_interval
+        candidates, positions = self.of(worlds), self.simulator.positions(worlds)
         stress, _ = self.simulator.point_stresses(worlds)
         largest_stress = von_mises_stress(stress).max(axis=(1, 2))
-        for row, candidate in enumerate(self.of(worlds)):
-            if candidate.finished:
-                continue
-            sample = GraspSample(
-                candidate.evaluation.grasp_index,
-                candidate.evaluation.grasp_id,
-                candidate.phase,
-                self.time,
-                float(openings[row]),
-                float(velocities[row]),
-                float(closing_force[row]),
-                forces[row].fingers(),
-                forces[row].normal_force(PLATFORM),
-                forces[row].force(PALM),
-            )
+        samples = self._sampler.read(self.time, self.experiment, worlds, candidates, closing_force)
+        for row, (candidate, sample) in enumerate(zip(candidates, samples, strict=True)):
             slip = candidate.slip(positions[row], candidate.gripped_positions)
             candidate.course.add(sample, candidate.time, slip, largest_stress[row])
-            self.observer.on_sample(sample)
 
 
 def no_solution(report: StepReport, row: int, now: float) -> str:

@@ -21,11 +21,13 @@ from defgrasp_ros.experiments.squeeze import FreeSqueeze
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.simulation.simulator import Simulator
+from defgrasp_ros.simulation.memory import worlds_that_fit
+from defgrasp_ros.simulation.simulator import Simulator, find_device
 
-MAX_BATCH = 64
-"""Grasps simulated together; more run in further batches, which bounds the memory."""
-MAX_WORLDS = 256
+MAX_BATCH = {"cpu": 64, "cuda": 1024}
+"""Grasps simulated together at most, by kind of device; more run in further batches. On a processor a batch of 50 costs
+no more per grasp than a larger one, and the first results come sooner."""
+MAX_WORLDS = {"cpu": 256, "cuda": 4096}
 """Worlds simulated together in the experiments with 16 directions per grasp."""
 
 
@@ -57,20 +59,24 @@ def evaluate_grasps(
         EmptyGraspListError: If there is no grasp.
         InvalidOptionsError: If the time limit is no positive number.
         NotFoundError: If there is no such device.
+        ResourceExhaustedError: If it has not enough free memory for a single world.
         InvalidMeshError: If the mesh has no usable stiffness.
         SolverDivergedError: If the object alone finds no rest on the platform.
+        CanceledError: If the observer wants the run to end before the object has come to rest.
     """
     if not grasps:
         raise EmptyGraspListError("grasps is empty: give at least one grasp")
     observer = observer or EvaluationObserver()
     interruption = Interruption(observer, time_limit)
-    batches = chunks(range(len(grasps)), MAX_BATCH)
+    kind = "cuda" if find_device(device).is_cuda else "cpu"
+    room = worlds_that_fit(object_model, find_device(device))
+    batches = chunks(range(len(grasps)), min(MAX_BATCH[kind], room))
     world_count = len(batches[0])
     if options.experiments - {Experiment.PICKUP, Experiment.SQUEEZE}:
-        world_count = min(MAX_WORLDS, DIRECTION_COUNT * world_count)
+        world_count = min(MAX_WORLDS[kind], DIRECTION_COUNT * world_count, room)
     simulator = Simulator(object_model, gripper, world_count, device)
     observer.on_progress(Progress(Phase.SETTLE, 0.0, 0.0, len(grasps), len(grasps)))
-    settled = settle(simulator, 0, options.time_step)
+    settled = settle(simulator, 0, options.time_step, observer.should_stop)
     recovery = StressRecovery(object_model.mesh)
     run = Run(simulator, settled, options, observer, interruption, recovery, len(grasps))
     evaluations: list[GraspEvaluation] = []
@@ -88,13 +94,17 @@ def _run(batch: GraspBatch) -> list[GraspEvaluation]:
     """Do the experiments one after the other, each for all grasps that can."""
     Pickup(batch).run()
     if batch.asks_for(Experiment.REORIENTATION):
+        batch.experiment = Experiment.REORIENTATION
         Reorientation(batch).run()
     if batch.asks_for(Experiment.LINEAR_ACCELERATION, Experiment.ANGULAR_ACCELERATION):
+        kinds = [kind for kind in (LINEAR, ANGULAR) if batch.asks_for(kind.experiment)]
+        batch.experiment = kinds[0].experiment
         frozen = frozen_without_gravity(batch)
-        for kind in (LINEAR, ANGULAR):
-            if batch.asks_for(kind.experiment):
-                AccelerationTest(batch, kind, frozen).run()
+        for kind in kinds:
+            batch.experiment = kind.experiment
+            AccelerationTest(batch, kind, frozen).run()
     if batch.asks_for(Experiment.SQUEEZE):
+        batch.experiment = Experiment.SQUEEZE
         FreeSqueeze(batch).run()
     for candidate in batch.candidates:
         if not candidate.reported:

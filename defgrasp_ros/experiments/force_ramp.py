@@ -26,15 +26,19 @@ def load_free(batch: GraspBatch, candidates: Sequence[Candidate]) -> np.ndarray:
 
 
 def ramp_closing_force(
-    batch: GraspBatch, worlds: np.ndarray, candidates: Sequence[Candidate], start: np.ndarray, end: np.ndarray
+    batch: GraspBatch,
+    worlds: np.ndarray,
+    candidates: Sequence[Candidate],
+    start: np.ndarray,
+    end: np.ndarray,
+    duration: float,
 ) -> list[Failure | None]:
-    """Raise the closing force from ``start`` to ``end`` [N], shape ``(n,)``, and wait until all is still.
+    """Raise the closing force from ``start`` to ``end`` [N], shape ``(n,)``, in ``duration`` [s]; wait for stillness.
 
     Returns:
         Per world why the force was not reached, or None.
     """
     simulator, h, size = batch.simulator, batch.options.time_step, batch.model.mesh.size
-    ramp = batch.options.squeeze_time
     outcome: list[Failure | None] = [None] * len(worlds)
     heights = np.array([candidate.platform_height for candidate in candidates])
     waiting, elapsed = np.arange(len(worlds)), 0.0
@@ -46,13 +50,14 @@ def ramp_closing_force(
             break
         elapsed += h
         batch.time += h
-        force = start[waiting] + min(1.0, elapsed / ramp) * (end - start)[waiting]
+        force = start[waiting] + min(1.0, elapsed / duration) * (end - start)[waiting]
         report = simulator.step(worlds[waiting], h, force, heights[waiting], quasi_static=True)
+        batch.sample(worlds[waiting], force, [candidates[i] for i in waiting])
         last, positions[waiting] = positions[waiting], simulator.positions(worlds[waiting])
         still = largest_motion(last, positions[waiting]) < STILL_CHANGE * size
         pads = simulator.normal_forces(worlds[waiting])[:, :2]
         openings = simulator.openings(worlds[waiting])
-        late = elapsed > ramp + RAMP_TIME_LIMIT
+        late = elapsed > duration + RAMP_TIME_LIMIT
         goes_on = np.ones(len(waiting), dtype=bool)
         for row, i in enumerate(waiting):
             candidate = candidates[i]
@@ -63,7 +68,7 @@ def ramp_closing_force(
                 outcome[i] = Failure(ResultCode.SOLVER_DIVERGED, no_solution(report, row, batch.time))
             elif openings[row] <= 0.0:
                 outcome[i] = Failure(ResultCode.FORCE_NOT_REACHED, "the object was squeezed out from between the pads")
-            elif elapsed >= ramp and touching and reached and still[row]:
+            elif elapsed >= duration and touching and reached and still[row]:
                 goes_on[row] = False
             elif late:
                 text = f"the pads reached {pads[row].sum():.4g} N of {end[i]:.4g} N, or the object did not come to rest"

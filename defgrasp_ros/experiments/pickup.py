@@ -213,6 +213,7 @@ class Pickup:
                 break
             self.batch.time += h
             self.batch.step(held, h, self.batch.targets(held), quasi_static=True)
+            self.batch.sample(held, self.batch.targets(held))
             last, positions = positions, self.simulator.positions(held)
             resting = largest_motion(last, positions) < REST_CHANGE * self.model.mesh.size
             normal = self.simulator.normal_forces(held)

@@ -44,6 +44,8 @@ class Reorientation:
         self.directions = sphere_directions()
         self.forces: dict[Candidate, float] = {}
         self.results: dict[Candidate, ReorientationResult] = {}
+        self.axes: np.ndarray | None = None
+        """Number of the axis about which each world turns; None while the objects are lifted."""
         self.lifted: dict[Candidate, WorldSnapshot] = {}
         self.lifted_positions: dict[Candidate, np.ndarray] = {}
 
@@ -70,7 +72,7 @@ class Reorientation:
         end = np.array([self._force(candidate, w) for w, candidate in enumerate(candidates)])
         for candidate, force in zip(candidates, end, strict=True):
             self.forces[candidate], self.results[candidate] = force, self._no_result(force)
-        outcome = ramp_closing_force(self.batch, worlds, candidates, start, end)
+        outcome = ramp_closing_force(self.batch, worlds, candidates, start, end, self.batch.options.squeeze_time)
         simulator.remove_platform(worlds)
         gravity = np.tile(GRAVITY, (len(worlds), 1))
         reached = np.array([i for i, failure in enumerate(outcome) if failure is None], dtype=int)
@@ -106,7 +108,8 @@ class Reorientation:
         """Turn gravity about each job's axis, stopping at every angle of ``TURNS``."""
         worlds, simulator = np.arange(len(jobs)), self.simulator
         simulator.load(worlds, [self.lifted[candidate] for candidate, _ in jobs])
-        axes = self.directions[[axis for _, axis in jobs]]
+        self.axes = np.array([axis for _, axis in jobs])
+        axes = self.directions[self.axes]
         if not self.settles:
             self._spin([candidate for candidate, _ in jobs], worlds, axes)
         active, angle = np.arange(len(jobs)), 0.0
@@ -196,6 +199,8 @@ class Reorientation:
         report = simulator.step(worlds, h, forces, np.zeros(len(worlds)), quasi_static=quasi_static)
         self.batch.time += h
         normal = simulator.normal_forces(worlds)[:, :2]
+        directions = None if self.axes is None else self.axes[worlds]
+        self.batch.sample(worlds, normal.sum(axis=1), candidates, directions)
         failures = {}
         for row, candidate in enumerate(candidates):
             candidate.count_step(report, row, h)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from defgrasp_ros.errors import SolverDivergedError
+from defgrasp_ros.errors import CanceledError, SolverDivergedError
 from defgrasp_ros.evaluation import NAN, DeformedState
 from defgrasp_ros.experiments.metrics import deformation, rigid_motion, von_mises_stress
 from defgrasp_ros.grasp import Grasp
@@ -43,7 +44,9 @@ class SettledObject:
         return replace(grasp, position=self.rotation @ grasp.position + self.translation, orientation=orientation)
 
 
-def settle(simulator: Simulator, world: int, step_length: float) -> SettledObject:
+def settle(
+    simulator: Simulator, world: int, step_length: float, should_stop: Callable[[], bool] = lambda: False
+) -> SettledObject:
     """Put a platform at the object's lowest point, and let the object sag on it.
 
     The steps are quasi-static, so that an object that would roll away hardly begins to.
@@ -52,8 +55,10 @@ def settle(simulator: Simulator, world: int, step_length: float) -> SettledObjec
         simulator: Its worlds hold the object as given.
         world: The world in which it settles.
         step_length: [s].
+        should_stop: Whether to give up now.
 
     Raises:
+        CanceledError: If it should stop.
         SolverDivergedError: If a step has no solution.
     """
     mesh, here = simulator.model.mesh, np.array([world])
@@ -61,6 +66,8 @@ def settle(simulator: Simulator, world: int, step_length: float) -> SettledObjec
     simulator.place_platform(here, height)
     shape = mesh.vertices
     for count in range(1, SETTLE_STEPS + 1):
+        if should_stop():
+            raise CanceledError("canceled before the object had come to rest")
         report = simulator.step(here, step_length, np.zeros(1), np.array([height]), quasi_static=True)
         if not report.converged.all():
             raise SolverDivergedError(

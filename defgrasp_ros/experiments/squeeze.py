@@ -13,6 +13,8 @@ from defgrasp_ros.experiments.settling import deformed_state
 
 NEAR_RIGID = 1e8
 """Young's modulus above which the larger force is used [Pa] (DefGraspSim)."""
+INCREMENTS = 4
+"""Steps in which the force grows from one sample to the next."""
 
 
 class FreeSqueeze:
@@ -37,11 +39,11 @@ class FreeSqueeze:
         for candidate in candidates:
             nothing = [np.full(len(self.forces), np.nan) for _ in range(4)]
             candidate.evaluation.squeeze = SqueezeResult(self.forces.copy(), *nothing)
-        active, before = np.arange(len(candidates)), 0.0
+        active, before, duration = np.arange(len(candidates)), 0.0, INCREMENTS * self.batch.options.time_step
         for sample, force in enumerate(self.forces):
             some = [candidates[i] for i in active]
             start, end = np.full(len(active), before), np.full(len(active), force)
-            outcome = ramp_closing_force(self.batch, worlds[active], some, start, end)
+            outcome = ramp_closing_force(self.batch, worlds[active], some, start, end, duration)
             for i, failure in zip(active, outcome, strict=True):
                 if failure:
                     candidates[i].evaluation.squeeze.reason = f"at {force:.3g} N: {failure.message}"

@@ -11,12 +11,22 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 import numpy as np
 
+from defgrasp_ros.errors import CanceledError
+
 Arrays = Mapping[str, np.ndarray]
+
+LOOK_INTERVAL = 0.1
+"""How often somebody who waits for a worker looks whether the work should end [s]."""
+
+_should_stop: ContextVar[Callable[[], bool]] = ContextVar("should_stop", default=lambda: False)
 
 
 class WorkerError(Exception):
@@ -25,6 +35,20 @@ class WorkerError(Exception):
 
 class WorkerTimeoutError(WorkerError):
     """The work took too long."""
+
+
+@contextmanager
+def interruptible(should_stop: Callable[[], bool]) -> Iterator[None]:
+    """Let workers of this thread be ended before they are done, with a ``CanceledError``, until the end of the block.
+
+    Args:
+        should_stop: Whether the work should end now.
+    """
+    token = _should_stop.set(should_stop)
+    try:
+        yield
+    finally:
+        _should_stop.reset(token)
 
 
 def run_worker(script: Path, request: Mapping[str, object], *, time_limit: float, memory_limit: int) -> Arrays:
@@ -39,6 +63,7 @@ def run_worker(script: Path, request: Mapping[str, object], *, time_limit: float
     Raises:
         WorkerTimeoutError: If it did not finish in time.
         WorkerError: If it failed: the signal that ended it, or the last line that it wrote.
+        CanceledError: If it was ended by ``interruptible``.
     """
     with tempfile.TemporaryDirectory(prefix="defgrasp_") as directory:
         question, answer = Path(directory, "request.npz"), Path(directory, "answer.npz")
@@ -51,22 +76,23 @@ def run_worker(script: Path, request: Mapping[str, object], *, time_limit: float
             "OMP_NUM_THREADS": "1",
         }
         arguments = [question, answer, memory_limit, max(1, int(np.ceil(time_limit)))]
-        try:
-            process = subprocess.run(
-                [sys.executable, str(script), *map(str, arguments)],
-                cwd=directory,  # fTetWild leaves files of its own there
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                text=True,
-                errors="replace",
-                timeout=max(time_limit, 0.0),
-                env=environment,
-            )
-        except subprocess.TimeoutExpired as error:
-            raise WorkerTimeoutError(f"not finished in {time_limit:g} s") from error
+        with subprocess.Popen(
+            [sys.executable, str(script), *map(str, arguments)],
+            cwd=directory,  # fTetWild leaves files of its own there
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            env=environment,
+        ) as process:
+            try:
+                errors = _errors_of(process, time_limit)
+            except BaseException:
+                process.kill()
+                raise
         if process.returncode != 0:
-            raise WorkerError(_reason(process))
+            raise WorkerError(_reason(process.returncode, errors))
         with np.load(answer) as arrays:
             return dict(arrays)
 
@@ -84,9 +110,23 @@ def answer_request(work: Callable[[Arrays], Arrays]) -> None:
     np.savez(answer, allow_pickle=False, **result)
 
 
-def _reason(process: subprocess.CompletedProcess) -> str:
-    if process.returncode < 0:
-        return f"ended by {signal.Signals(-process.returncode).name}"
-    lines = process.stderr.strip().splitlines()
-    last = lines[-1] if lines else f"exit status {process.returncode}"
+def _errors_of(process: subprocess.Popen, time_limit: float) -> str:
+    """Wait until a process ends and return what it wrote."""
+    deadline = time.monotonic() + time_limit
+    while True:
+        left = max(0.0, deadline - time.monotonic())
+        try:
+            return process.communicate(timeout=min(left, LOOK_INTERVAL))[1]
+        except subprocess.TimeoutExpired as error:
+            if _should_stop.get()():
+                raise CanceledError("the mesh work was ended") from None
+            if left <= LOOK_INTERVAL:
+                raise WorkerTimeoutError(f"not finished in {time_limit:g} s") from error
+
+
+def _reason(status: int, errors: str) -> str:
+    if status < 0:
+        return f"ended by {signal.Signals(-status).name}"
+    lines = errors.strip().splitlines()
+    last = lines[-1] if lines else f"exit status {status}"
     return "not enough memory" if "MemoryError" in last else last

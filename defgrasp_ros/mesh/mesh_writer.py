@@ -21,14 +21,23 @@ def write_mesh(path: Path | str, mesh: TetMesh) -> None:
     format = path.suffix.lower().removeprefix(".")
     if format not in WRITTEN_FORMATS:
         raise InvalidMeshError(f"{path}: format '{format}' is not written; written: {', '.join(WRITTEN_FORMATS)}")
-    if format == "tet":
-        path.write_text(_tet_text(mesh))
+    if format in ("tet", "mesh"):
+        path.write_text(_tet_text(mesh) if format == "tet" else medit_text(mesh))
         return
     import meshio
 
-    names = {"mesh": "medit", "msh": "gmsh22"}
+    names = {"msh": "gmsh22"}
     content = meshio.Mesh(mesh.vertices, [("tetra", mesh.tetrahedra)])
     content.write(path, file_format=names.get(format, format))
+
+
+def medit_text(mesh: TetMesh) -> str:
+    """Return the ASCII format of MEDIT, with as many digits as read back to the same numbers."""
+    vertices = [f"{x!r} {y!r} {z!r} 0" for x, y, z in mesh.vertices.tolist()]
+    tetrahedra = ["{} {} {} {} 0".format(*corners) for corners in (mesh.tetrahedra + 1).tolist()]
+    head = ["MeshVersionFormatted 2", "Dimension 3"]
+    sections = [["Vertices", str(len(vertices)), *vertices], ["Tetrahedra", str(len(tetrahedra)), *tetrahedra]]
+    return "\n".join([*head, *sections[0], *sections[1], "End"]) + "\n"
 
 
 def _tet_text(mesh: TetMesh) -> str:

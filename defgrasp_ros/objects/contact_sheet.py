@@ -19,6 +19,8 @@ COLORS = {
 }
 COLUMNS, PANEL, CAPTION, HEAD = 8, 1.5, 0.42, 0.55
 """Layout [inch]."""
+LEGEND_LEFT, LEGEND_STEP = 1.5, 1.1
+"""Of the colours' names beside the title [inch]."""
 PIXELS, SUPERSAMPLING, DPI = 225, 3, 150
 AZIMUTH, ELEVATION = math.radians(-55.0), math.radians(28.0)
 
@@ -45,6 +47,10 @@ def draw_objects(path: Path | str, objects: Sequence[LibraryObject]) -> None:
         at = {"transform": axes.transAxes, "ha": "center", "va": "top", "parse_math": False}
         axes.text(0.5, 0.03, entry.name, fontsize=8, weight="bold", **at)
         axes.text(0.5, -0.07, f"{sides} mm\n{entry.material.name}", fontsize=5.5, color="#3c4043", **at)
-    title = f"{len(objects)} objects: " + ", ".join(COLORS)
-    figure.text(0.1 / width, 1.0 - 0.26 / height, title, fontsize=12, weight="bold", va="center")
+    level = 1.0 - 0.26 / height
+    figure.text(0.1 / width, level, f"{len(objects)} objects", fontsize=12, weight="bold", va="center")
+    for place, (category, color) in enumerate(COLORS.items()):
+        left = LEGEND_LEFT + LEGEND_STEP * place
+        figure.text(left / width, level, "●", fontsize=13, color=color, va="center")
+        figure.text((left + 0.2) / width, level, category, fontsize=9, color="#3c4043", va="center")
     figure.savefig(path, format="png")

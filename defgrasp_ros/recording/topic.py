@@ -19,12 +19,18 @@ class Topic:
         message_class: Message class, e.g. ``sensor_msgs.msg.JointState``.
         depth: How many messages the publisher keeps.
         latched: Whether a late subscriber gets the kept messages (durability ``transient_local``).
+        reliable: Whether a lost message is sent again; else best effort.
+        lease: Time without a sign of life after which subscribers take the publisher for dead [s]; 0: for ever.
+        description: What is on it, for people.
     """
 
     name: str
     message_class: type
     depth: int
     latched: bool = False
+    reliable: bool = True
+    lease: float = 0.0
+    description: str = ""
 
     @property
     def type_name(self) -> str:
@@ -37,11 +43,16 @@ class Topic:
         return {
             "history": "keep_last",
             "depth": self.depth,
-            "reliability": "reliable",
+            "reliability": "reliable" if self.reliable else "best_effort",
             "durability": "transient_local" if self.latched else "volatile",
             "deadline": dict(UNLIMITED),
             "lifespan": dict(UNLIMITED),
             "liveliness": "automatic",
-            "liveliness_lease_duration": dict(UNLIMITED),
+            "liveliness_lease_duration": self._lease_words,
             "avoid_ros_namespace_conventions": False,
         }
+
+    @property
+    def _lease_words(self) -> dict[str, int]:
+        seconds, nanoseconds = divmod(round(self.lease * 1e9), 1_000_000_000)
+        return {"sec": seconds, "nsec": nanoseconds} if self.lease else dict(UNLIMITED)

@@ -6,7 +6,7 @@ from threading import Lock
 
 import numpy as np
 
-from defgrasp_ros.errors import DefgraspError, InvalidMeshError, NotFoundError, ResultCode
+from defgrasp_ros.errors import IncorrectStateError, InvalidMeshError, NotFoundError, ResourceExhaustedError
 from defgrasp_ros.mesh.object_mesh import PreparedMesh
 from defgrasp_ros.mesh.tet_mesh import TetMesh
 from defgrasp_ros.objects import find_object, object_library
@@ -18,16 +18,12 @@ MAX_OBJECTS = 200
 """Most objects that are kept; each takes about a megabyte."""
 
 
-class RegistrationError(DefgraspError):
+class RegistrationError(IncorrectStateError):
     """An object of that name is there already."""
 
-    code = ResultCode.INCORRECT_STATE
 
-
-class TooManyObjectsError(DefgraspError):
+class TooManyObjectsError(ResourceExhaustedError):
     """No room for another object."""
-
-    code = ResultCode.RESOURCE_EXHAUSTED
 
 
 class ObjectRegistry:
@@ -67,6 +63,11 @@ class ObjectRegistry:
         with self._lock:
             if self._meshes.pop(name, None) is None:
                 raise NotFoundError(f"no object '{name}' is registered; registered: {self._listed()}")
+
+    def clear(self) -> None:
+        """Forget all."""
+        with self._lock:
+            self._meshes.clear()
 
     def names(self) -> list[str]:
         """Return the names of the registered objects."""

@@ -15,6 +15,7 @@ from defgrasp_ros.checks import require_in_range
 from defgrasp_ros.errors import InvalidMeshError, MeshTooLargeError, UnknownFrameError
 from defgrasp_ros.evaluation import EvaluationOptions, in_order
 from defgrasp_ros.grasp import Grasp
+from defgrasp_ros.gripper_urdf import OBJECT_LINK
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.mesh_files import prepare_bytes, prepare_file
 from defgrasp_ros.mesh.mesh_uri import path_of_uri
@@ -25,7 +26,7 @@ from defgrasp_ros.ros.fields import extract, fill, flat, point_message, rows
 from defgrasp_ros.ros.object_registry import OBJECT_SCHEME, ObjectRegistry
 from defgrasp_ros.ros.object_source import MeshData, MeshFile, ObjectSource, RegisteredObject, Surface
 
-OBJECT_FRAME = "object"
+OBJECT_FRAME = OBJECT_LINK
 """Name of the object frame in message headers."""
 
 
@@ -94,11 +95,14 @@ def options_to_message(options: EvaluationOptions) -> msg.ExperimentOptions:
 def options_from_message(message: msg.ExperimentOptions, defaults: EvaluationOptions) -> EvaluationOptions:
     """Return the options of a message, with ``defaults`` where a number is 0, and where no experiment is named.
 
+    A bool of a message cannot be left out: states settle where both message and ``defaults`` say so.
+
     Raises:
         InvalidOptionsError: If a value is outside its range.
     """
     given = {field.name: getattr(message, field.name) for field in dataclasses.fields(EvaluationOptions)}
     named = {name: value for name, value in given.items() if isinstance(value, bool) or value}
+    named["reorientation_settles"] = message.reorientation_settles and defaults.reorientation_settles
     return dataclasses.replace(defaults, **named)
 
 

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from threading import Event
+from collections.abc import Mapping, Sequence
 
 from defgrasp_interfaces import msg
+from rosgraph_msgs.msg import Clock
 
+from defgrasp_ros.errors import ResultCode
 from defgrasp_ros.evaluation import EvaluationObserver, GraspEvaluation, GraspSample, Progress
 from defgrasp_ros.grasp import Grasp
+from defgrasp_ros.gripper import Gripper
+from defgrasp_ros.mesh.tet_mesh import TetMesh
 from defgrasp_ros.ros.fields import NANOSECONDS, time_message
+from defgrasp_ros.ros.joint_states import sample_to_joint_state
 from defgrasp_ros.ros.outputs import Outputs
 from defgrasp_ros.ros.result_conversion import evaluation_to_message
-from defgrasp_ros.ros.state_conversion import sample_to_contact_state, sample_to_joint_state
+from defgrasp_ros.ros.robot_description import send_robot_description
+from defgrasp_ros.ros.shown_grasp import ShownGrasp
+from defgrasp_ros.ros.state_conversion import sample_to_contact_state
 from defgrasp_ros.ros.status_reporter import StatusReporter
-from defgrasp_ros.ros.topics import CONTACTS, EVALUATIONS, JOINT_STATES
+from defgrasp_ros.ros.stop_signal import StopSignal
+from defgrasp_ros.ros.topics import ALL_JOINT_STATES, CLOCK, CONTACTS, EVALUATIONS, SAMPLED
 
 
 class RunObserver(EvaluationObserver):
@@ -25,8 +32,10 @@ class RunObserver(EvaluationObserver):
         outputs: Takes the messages.
         status: Is told how far the run is.
         grasps: The simulated grasps by index in the request, in the order of simulation.
+        mesh: Of the object.
+        gripper: Of all grasps.
+        parameters: Values of the node's parameters, of which those below ``publish`` count here.
         start_time: The node's clock at the start of the run [ns]; stamps are this plus simulated time.
-        sample_interval: Simulated time between two samples of a grasp [s].
         stop: Ends the run early when set.
     """
 
@@ -35,41 +44,71 @@ class RunObserver(EvaluationObserver):
         outputs: Outputs,
         status: StatusReporter,
         grasps: Mapping[int, Grasp],
+        mesh: TetMesh,
+        gripper: Gripper,
+        parameters: Mapping,
         start_time: int,
-        sample_interval: float,
-        stop: Event,
+        stop: StopSignal,
     ) -> None:
-        self.sample_interval = sample_interval
+        self.sample_interval = 1.0 / parameters["publish.sample_rate"]
+        self.sample_direction = parameters["publish.direction"]
         self._outputs = outputs
         self._status = status
         self._identities = [{"grasp_index": index, "grasp_id": grasp.id} for index, grasp in grasps.items()]
+        self._gripper = gripper
+        self._shown = ShownGrasp(outputs, mesh, gripper, parameters)
         self._start_time = start_time
         self._stop = stop
+        self.messages: dict[int, msg.GraspEvaluation] = {}
+        """The evaluations so far, with fields over the mesh, by index in the request."""
+        send_robot_description(outputs, gripper, start_time)
 
     def on_progress(self, progress: Progress) -> None:
         self._status.running(progress)
+        if self._outputs.wanted(CLOCK):
+            self._outputs.publish(CLOCK, Clock(clock=time_message(self._time(progress.simulated_time))))
 
-    def on_sample(self, sample: GraspSample) -> None:
-        sample = dataclasses.replace(sample, **self._identities[sample.grasp_index])
-        time = self._time(sample.time)
-        for topic, convert in ((JOINT_STATES, sample_to_joint_state), (CONTACTS, sample_to_contact_state)):
-            if self._outputs.wanted(topic):
-                self._outputs.send(topic, convert(sample, time_message(time)), time)
+    def wants_samples(self) -> bool:
+        return any(self._outputs.wanted(topic) for topic in SAMPLED)
+
+    def on_samples(self, samples: Sequence[GraspSample]) -> None:
+        samples = [dataclasses.replace(sample, **self._identities[sample.grasp_index]) for sample in samples]
+        time = self._time(samples[0].time)
+        stamp = time_message(time)
+        if self._outputs.wanted(ALL_JOINT_STATES):
+            for sample in samples:
+                self._outputs.send(ALL_JOINT_STATES, sample_to_joint_state(sample, self._gripper, stamp), time)
+        if self._outputs.wanted(CONTACTS):
+            for sample in samples:
+                self._outputs.send(CONTACTS, sample_to_contact_state(sample, stamp), time)
+        self._shown.send(samples, time)
 
     def on_evaluation(self, evaluation: GraspEvaluation) -> None:
-        self.send_evaluation(self.in_request(evaluation))
+        evaluation = self.in_request(evaluation)
+        self._shown.finish(evaluation.grasp_index)
+        self.send_evaluation(evaluation)
 
     def should_stop(self) -> bool:
         return self._stop.is_set()
 
     def in_request(self, evaluation: GraspEvaluation) -> GraspEvaluation:
-        """Return an evaluation with the index and the id that its grasp has in the request."""
-        return dataclasses.replace(evaluation, **self._identities[evaluation.grasp_index])
+        """Return an evaluation with the index and the id that its grasp has in the request.
+
+        One that ended early gets code and reason of what ended the run.
+        """
+        evaluation = dataclasses.replace(evaluation, **self._identities[evaluation.grasp_index])
+        if evaluation.code == ResultCode.CANCELED:
+            text = f"{evaluation.message}: {self._stop.reason}"
+            evaluation = dataclasses.replace(evaluation, code=self._stop.code, message=text)
+        return evaluation
 
     def send_evaluation(self, evaluation: GraspEvaluation) -> None:
         """Publish an evaluation that has its index in the request; the log gets it with its fields over the mesh."""
-        self._outputs.publish(EVALUATIONS, self.message(evaluation, with_fields=False))
-        self._outputs.log(EVALUATIONS, self.message(evaluation), self._time(evaluation.end_time))
+        without_fields = self.message(evaluation, with_fields=False)
+        self._outputs.publish(EVALUATIONS, without_fields)
+        message = self.messages[evaluation.grasp_index] = self.message(evaluation)
+        self._outputs.log(EVALUATIONS, message, self._time(evaluation.end_time))
+        self._status.finished(without_fields)
 
     def message(self, evaluation: GraspEvaluation, *, with_fields: bool = True) -> msg.GraspEvaluation:
         """Return the message of an evaluation, stamped with the time at which it ended."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from defgrasp_ros.evaluation import FINGER_NAMES, FingerContact
 from defgrasp_ros.simulation.gross_slip import GROSS_SLIP_SHARE, mobilised_friction
+from defgrasp_ros.simulation.kernels_faces import PALM
 
 
 @dataclass
@@ -39,6 +40,10 @@ class ContactForces:
         """What the left and the right finger feel."""
         left, right = (self._finger(pad, name) for pad, name in enumerate(FINGER_NAMES))
         return left, right
+
+    def palm(self) -> FingerContact:
+        """What the palm feels."""
+        return self._finger(PALM, "palm")
 
     def _finger(self, pad: int, name: str) -> FingerContact:
         mine = self.body == pad

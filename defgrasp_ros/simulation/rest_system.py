@@ -17,6 +17,7 @@ import scipy.sparse
 
 from defgrasp_ros.errors import InvalidMeshError
 from defgrasp_ros.object_model import ObjectModel
+from defgrasp_ros.simulation.lapack import inverse_of_positive_definite
 from defgrasp_ros.simulation.reference_element import REFERENCE_ELEMENTS
 
 
@@ -54,18 +55,14 @@ class RestSystem:
         mass = self.mass.toarray() / step_length**2
         for axis in range(3):
             matrix[axis::3, axis::3] += mass
-        lapack = scipy.linalg.lapack
-        factor, failed = lapack.dpotrf(matrix.T, lower=1, overwrite_a=1)
-        if failed:
+        inverse = inverse_of_positive_definite(matrix)
+        if inverse is None:
             raise InvalidMeshError(
                 "the mesh has no positive definite stiffness: it contains degenerate or inverted tetrahedra"
             )
-        inverse, _ = lapack.dpotri(factor, lower=1, overwrite_c=1)
-        for column in range(len(inverse)):
-            inverse[column, column + 1 :] = inverse[column + 1 :, column]
         rigid_diagonal = step_length**2 * (self._rigid_modes**2).sum(axis=1)
         elastic = (np.diagonal(inverse) - rigid_diagonal).reshape(-1, 3).mean(axis=1)
-        return Compliance(step_length, inverse.T, elastic, step_length**2 / self.mass.sum())
+        return Compliance(step_length, inverse, elastic, step_length**2 / self.mass.sum())
 
 
 def mass_matrix(model: ObjectModel) -> scipy.sparse.csr_matrix:

@@ -21,6 +21,7 @@ from defgrasp_ros.object_model import ObjectModel
 from defgrasp_ros.simulation import kernels_faces as faces
 from defgrasp_ros.simulation.contact_forces import ContactForces
 from defgrasp_ros.simulation.device_model import DeviceModel
+from defgrasp_ros.simulation.kernels_element import element_kernels
 from defgrasp_ros.simulation.rest_system import RestSystem
 from defgrasp_ros.simulation.shard import Shard, WorldSnapshot
 from defgrasp_ros.simulation.shared_compliance import ComplianceCache
@@ -315,3 +316,20 @@ def find_device(name: str) -> wp.Device:
     except ValueError:
         known = ", ".join(device.alias for device in wp.get_devices())
         raise NotFoundError(f"device = '{name}' is not available; this machine has: {known}") from None
+
+
+def device_names() -> list[str]:
+    """Return the names of the devices of this machine."""
+    wp.init()
+    return [device.alias for device in wp.get_devices()]
+
+
+def prepare_device(name: str) -> None:
+    """Compile, or load, all that a simulation with tetrahedra of four nodes runs on a device.
+
+    Raises:
+        NotFoundError: If the machine has no device of that name.
+    """
+    device = find_device(name)
+    wp.load_module(__package__, device=device, recursive=True)
+    element_kernels(1).load(device)

@@ -1,0 +1,270 @@
+"""A run as its log tells it: object, grasps, results and what the fingers felt, in the package's own data classes."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from defgrasp_ros.errors import DefgraspError, RecordingError, ResultCode
+from defgrasp_ros.evaluation import FINGER_NAMES, GraspEvaluation
+from defgrasp_ros.grasp import Grasp
+from defgrasp_ros.gripper import Gripper, gripper_from_values, load_gripper
+from defgrasp_ros.material import Material
+from defgrasp_ros.mesh.tet_mesh import TetMesh
+from defgrasp_ros.object_model import ObjectModel
+from defgrasp_ros.recording import LoggedMessage, LoggedRun, read_log
+from defgrasp_ros.recording.attachments import MESH_FILE
+
+NANOSECONDS = 1_000_000_000
+NOT_FINISHED = "not finished: the log ends before its result"
+
+PICKUP_FIELDS = (
+    "opening",
+    "left_normal_force",
+    "right_normal_force",
+    "platform_force",
+    "slip",
+    "max_von_mises_stress",
+)
+"""Curves of a ``PickupCourse``."""
+
+
+@dataclass(frozen=True)
+class TimeSeries:
+    """What happened to one grasp over time; arrays of shape ``(sample,)``, nan where not recorded.
+
+    ``values`` has the names and units of the fields of the message ``PickupCourse``.
+    """
+
+    time: np.ndarray
+    """Simulated time [s]."""
+    values: dict[str, np.ndarray]
+
+    def has(self, name: str) -> bool:
+        """Whether a curve has at least one number."""
+        return name in self.values and bool(np.isfinite(self.values[name]).any())
+
+
+@dataclass(frozen=True)
+class RecordedGrasp:
+    """One grasp of a run."""
+
+    index: int
+    """In the request."""
+    id: str
+    grasp: Grasp | None
+    """None if the pose in the request has no meaning."""
+    evaluation: GraspEvaluation
+    """Where the log ends before it, one with code ``OPERATION_FAILED`` that says so."""
+    samples: TimeSeries
+    """From the messages on ``contacts`` and ``joint_states``; time since the start of the run [s]."""
+    pickup: TimeSeries | None
+    """From the evaluation; time since the start of the squeeze [s]; None where it has none."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the log holds its result."""
+        return self.evaluation.message != NOT_FINISHED
+
+    @property
+    def course(self) -> TimeSeries:
+        """The pickup over time: as the evaluation has it, else as it was published."""
+        return self.pickup or self.samples
+
+
+@dataclass(frozen=True)
+class RecordedRun:
+    """Everything about a run."""
+
+    name: str
+    path: Path
+    object_name: str
+    material: Material
+    mesh: TetMesh | None
+    """None if the log does not hold the tetrahedra; ``notes`` says so."""
+    gripper_name: str
+    gripper: Gripper | None
+    """None if the log does not describe it and there is none of that name here; ``notes`` says so."""
+    options: dict[str, Any]
+    """The experiment options that were in force."""
+    grasps: list[RecordedGrasp]
+    """In the order of the request."""
+    start_time: int
+    """Start of the run [ns since the epoch]."""
+    wall_time: float
+    """From the first to the last message [s]."""
+    provenance: dict[str, str]
+    """Versions, device and parameters."""
+    complete: bool
+    """Whether the log was closed."""
+    notes: list[str] = field(default_factory=list)
+    """What is missing, and why."""
+
+    @cached_property
+    def model(self) -> ObjectModel | None:
+        """Object and material; None without tetrahedra."""
+        return self.mesh and ObjectModel(self.object_name, self.mesh, self.material)
+
+    @property
+    def held(self) -> list[RecordedGrasp]:
+        """Grasps that were picked up and held."""
+        return [grasp for grasp in self.grasps if grasp.evaluation.metrics.pickup_success]
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """Of this package and of those below it."""
+        prefix = "version."
+        return {key.removeprefix(prefix): text for key, text in self.provenance.items() if key.startswith(prefix)}
+
+
+def load_run(path: Path) -> RecordedRun:
+    """Read the log of a run, also one that was cut off.
+
+    Args:
+        path: The MCAP file, or the bag folder that holds it.
+
+    Raises:
+        RecordingError: If it cannot be read, or holds no request of an evaluator.
+    """
+    from defgrasp_ros.ros.request_conversion import material_from_message
+    from defgrasp_ros.ros.result_conversion import evaluation_from_message
+
+    log = read_log(path)
+    entry = next((entry for entry in log.messages if entry.topic.endswith("/request")), None)
+    if entry is None:
+        cause = "it ends before" if not log.complete else "it is no log of an evaluator"
+        raise RecordingError(f"{log.path} holds no message on ~/request: {cause}")
+    request, start = entry.message, entry.publish_time
+    parameters = yaml.safe_load(log.provenance.get("parameters", "")) or {}
+    notes = [] if log.complete else ["The log was not closed: it ends where its writer stopped."]
+    messages = {message.grasp_index: message for message in log.on("evaluations")}
+    try:
+        evaluations = {index: evaluation_from_message(message) for index, message in messages.items()}
+    except AttributeError as error:
+        raise RecordingError(f"{log.path} was made with other message definitions than those here: {error}") from error
+    gripper_name = request.gripper or parameters.get("gripper", "")
+    return RecordedRun(
+        name=log.path.stem.removesuffix("_0"),
+        path=log.path,
+        object_name=request.object.name or "object",
+        material=material_from_message(request.object.material),
+        mesh=_mesh(log, request.object, evaluations.values(), notes),
+        gripper_name=gripper_name,
+        gripper=_gripper(log.provenance.get("gripper", ""), gripper_name, notes),
+        options=yaml.safe_load(log.provenance.get("options", "")) or _options(request.options, parameters),
+        grasps=_grasps(log, request.grasps, start, messages, evaluations),
+        start_time=start,
+        wall_time=(log.messages[-1].log_time - log.messages[0].log_time) / NANOSECONDS,
+        provenance=log.provenance,
+        complete=log.complete,
+        notes=notes,
+    )
+
+
+def _grasps(
+    log: LoggedRun, requested: list, start: int, messages: dict[int, Any], evaluations: dict[int, GraspEvaluation]
+) -> list[RecordedGrasp]:
+    from defgrasp_ros.ros.request_conversion import grasp_from_message
+
+    contacts, openings = defaultdict(list), defaultdict(dict)
+    for entry in log.messages:
+        if entry.topic.endswith("/contacts"):
+            contacts[entry.message.grasp_index].append(entry)
+        elif entry.topic.endswith(("/joint_states", "/all_joint_states")):
+            openings[entry.message.header.frame_id][entry.publish_time] = _opening(entry.message)
+    grasps = []
+    for index, message in enumerate(requested):
+        try:
+            grasp = grasp_from_message(message)
+        except DefgraspError:  # its evaluation says what is wrong
+            grasp = None
+        missing = GraspEvaluation(index, message.id, code=ResultCode.OPERATION_FAILED, message=NOT_FINISHED)
+        courses = getattr(messages.get(index), "pickup", [])
+        grasps.append(
+            RecordedGrasp(
+                index=index,
+                id=message.id or str(index),
+                grasp=grasp,
+                evaluation=evaluations.get(index, missing),
+                samples=_samples(contacts[index], openings[message.id or str(index)], start),
+                pickup=_pickup(courses[0]) if courses else None,
+            )
+        )
+    return grasps
+
+
+def _samples(contacts: list[LoggedMessage], openings: dict[int, float], start: int) -> TimeSeries:
+    """Return the curves that the published messages of one grasp draw."""
+    values = {name: np.full(len(contacts), np.nan) for name in PICKUP_FIELDS}
+    for row, entry in enumerate(contacts):
+        fingers = {finger.name: finger.normal_force for finger in entry.message.fingers}
+        for name, finger in zip(("left_normal_force", "right_normal_force"), FINGER_NAMES, strict=True):
+            values[name][row] = fingers.get(finger, np.nan)
+        values["platform_force"][row] = entry.message.platform_force
+        values["opening"][row] = openings.get(entry.publish_time, np.nan)
+    return TimeSeries(np.array([(entry.publish_time - start) / NANOSECONDS for entry in contacts]), values)
+
+
+def _opening(joints: Any) -> float:
+    """Return the position of the left finger [m]; nan if the message has no such joint."""
+    positions = dict(zip(joints.name, joints.position, strict=False))
+    return positions.get(f"{FINGER_NAMES[0]}_joint", np.nan)
+
+
+def _pickup(course: Any) -> TimeSeries:
+    values = {name: np.asarray(getattr(course, name), dtype=float) for name in PICKUP_FIELDS}
+    return TimeSeries(np.asarray(course.time, dtype=float), values)
+
+
+def _options(options: Any, parameters: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of a request, the evaluator's own where it left them out."""
+    names = [name for name in options.__slots__ if name != "record"]
+    given = {name: getattr(options, name) for name in names}
+    defaults = {name: parameters.get(f"experiment.{name}", given[name]) for name in names}
+    return {name: value if isinstance(value, bool) or value else defaults[name] for name, value in given.items()}
+
+
+def _gripper(values: str, name: str, notes: list[str]) -> Gripper | None:
+    """Return the gripper of a log's values (YAML); of a log without them, the one that has its name here."""
+    try:
+        return gripper_from_values(yaml.safe_load(values)) if values else load_gripper(name)
+    except DefgraspError as error:
+        notes.append(f"Fingers are not drawn: {error}.")
+        return None
+
+
+def _mesh(log: LoggedRun, message: Any, evaluations: Iterable[GraspEvaluation], notes: list[str]) -> TetMesh | None:
+    """Return the tetrahedra that were simulated; None if the log has none that fit its fields."""
+    mesh = _logged_tetrahedra(log, message)
+    if mesh is None:
+        notes.append("The log does not hold the object's tetrahedra: fields over the mesh cannot be drawn.")
+        return None
+    states = [state for evaluation in evaluations for state in evaluation.fields.values()]
+    if not states:
+        notes.append("The log holds no fields over the mesh; ask for them with options.return_fields.")
+        return mesh
+    for order in (1, 2):
+        of_order = TetMesh(mesh.vertices, mesh.tetrahedra, order)
+        if all(len(state.positions) == len(of_order.vertices) for state in states):
+            return of_order
+    notes.append("The object's tetrahedra in the log are not those of its fields: these cannot be drawn.")
+    return None
+
+
+def _logged_tetrahedra(log: LoggedRun, message: Any) -> TetMesh | None:
+    from defgrasp_ros.mesh.mesh_files import parse_mesh
+
+    attachment = log.attachments.get(MESH_FILE)
+    if attachment is not None:
+        return TetMesh(*parse_mesh(attachment.data, Path(MESH_FILE).suffix))
+    if not len(message.tetrahedra.vertices):
+        return None
+    vertices = np.asarray(message.tetrahedra.vertices).reshape(-1, 3) * (message.scale or 1.0)
+    return TetMesh(vertices, np.asarray(message.tetrahedra.tetrahedra).reshape(-1, 4))
