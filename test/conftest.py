@@ -1,6 +1,7 @@
 """Fixtures shared by the tests."""
 
 import os
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -15,9 +16,16 @@ def shared_directory() -> Path:
     return path
 
 
+def kernel_cache() -> Path:
+    """Folder in which Warp keeps compiled kernels unless told otherwise; one per version."""
+    caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return caches / "warp" / version("warp-lang")
+
+
 @pytest.fixture(scope="session", autouse=True)
 def mesh_cache(tmp_path_factory):
     """Meshes are cached in a folder of this run, so that every run makes them itself."""
+    os.environ.setdefault("WARP_CACHE_PATH", str(kernel_cache()))  # compiled kernels depend on nothing in the tests
     before = os.environ.get("XDG_CACHE_HOME")
     os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.mktemp("cache"))
     yield

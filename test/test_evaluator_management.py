@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -163,6 +165,14 @@ def test_impossible_parameter_file_ends_the_node_with_its_reason(operator: Opera
     with running_evaluator(tmp_path, preset="papper") as process:
         assert process.wait(START_TIMEOUT) != 0
     assert "preset 'papper' is unknown" in (tmp_path / "evaluator.txt").read_text()
+
+
+def test_help_of_the_node() -> None:
+    """It says how to give parameters, and starts nothing; what it does not know is refused."""
+    command = [sys.executable, "-m", "defgrasp_ros.ros.evaluator_node"]
+    asked = subprocess.run([*command, "--help"], capture_output=True, text=True)
+    assert asked.returncode == 0 and "--params-file" in asked.stdout
+    assert subprocess.run([*command, "--device", "cpu"], capture_output=True).returncode == 2
 
 
 def test_diagnostics_tell_how_each_part_is(operator: Operator, tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from defgrasp_ros.ros.topics import EVERY_FEEDBACK
 
 ACTION_NAME = "~/evaluate_grasps"
 
-RESULT_TIMEOUT = 30
+RESULT_TIMEOUT = 10
 """How long a result is kept for a caller that did not ask for it yet [s]; results can be large."""
 
 GONE_INTERVAL = 1.0
@@ -41,11 +41,15 @@ class Goal:
         self._started = False
         self.feedback = GoalFeedback(handle.publish_feedback)
         self.job = EvaluationJob(handle.request.request, on_start=self._start)
-        self.job.answer.add_done_callback(lambda _: self._execute())  # also where it was ended before its turn
+        self.job.answer.add_done_callback(lambda _: self._end())
 
     def _start(self) -> None:
         self.feedback.start()
         self._execute()
+
+    def _end(self) -> None:
+        self.feedback.end()
+        self._execute()  # where it was ended before its turn
 
     def _execute(self) -> None:
         """Let rclpy ask for the result; the goal is then no longer one that waits."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import atexit
 import signal
 import sys
@@ -13,6 +14,7 @@ import rclpy
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 from std_srvs.srv import Trigger
 
 from defgrasp_ros.errors import IncorrectStateError, ResourceExhaustedError, ResultCode
@@ -133,6 +135,13 @@ class EvaluatorNode(ManagedNode):
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the node until SIGINT or SIGTERM; a running evaluation then ends early, is answered and its log closed."""
+    parser = argparse.ArgumentParser(
+        prog=NODE_NAME,
+        description="ROS 2 node that evaluates grasps of deformable objects.",
+        epilog="ROS arguments come after --ros-args: -p device:=cuda:0, --params-file evaluator.yaml, -r __ns:=/arm, "
+        "--log-level debug. 'python -m defgrasp_ros.ros.parameters' prints a parameter file with every default.",
+    )
+    parser.parse_args(remove_ros_args(arguments)[1:])
     ended = Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())

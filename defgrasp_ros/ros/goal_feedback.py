@@ -28,6 +28,7 @@ class GoalFeedback:
     def __init__(self, send: Callable[[EvaluateGrasps.Feedback], None]) -> None:
         self._send = send
         self._is_running = False
+        self._has_ended = False
         self._simulated_since: float | None = None
         self._last = 0.0
         self._doing = ("", 0, 0)
@@ -36,14 +37,20 @@ class GoalFeedback:
         """It is the goal's turn."""
         self._is_running = True
 
+    def end(self) -> None:
+        """The goal has its answer; what comes now is about others."""
+        self._has_ended = True
+
     def on_status(self, status: EvaluatorStatus) -> None:
+        if self._has_ended:
+            return
         doing = (status.run_id, status.state, status.phase)
         if doing != self._doing or time.monotonic() - self._last >= FEEDBACK_INTERVAL:
             self._doing = doing
             self._send_now(status, [])
 
     def on_evaluation(self, status: EvaluatorStatus, evaluation: GraspEvaluation) -> None:
-        if self._is_running:
+        if self._is_running and not self._has_ended:
             self._send_now(status, [evaluation])
 
     def _send_now(self, status: EvaluatorStatus, finished: list[GraspEvaluation]) -> None:
