@@ -24,7 +24,7 @@ import warp as wp
 
 from defgrasp_ros.simulation import kernels_contact as contact
 from defgrasp_ros.simulation import kernels_elasticity as elastic
-from defgrasp_ros.simulation.anderson import Anderson
+from defgrasp_ros.simulation.anderson import DEPTH, Anderson
 from defgrasp_ros.simulation.contact_set import ContactSet
 from defgrasp_ros.simulation.dense import multiply_rows
 from defgrasp_ros.simulation.device_model import DeviceModel
@@ -45,7 +45,8 @@ MAX_ITERATIONS = 40
 MAX_STALLED = 8
 """Iterations in a row that do not reduce the residual after which a step is given up."""
 RESTART_GROWTH = 2.0
-"""Growth of the residual in an iteration at which the acceleration starts anew [-]."""
+"""Growth of the residual in an iteration at which the acceleration starts anew [-], unless it has just begun: where the
+plain iteration diverges, it must be let go on until it knows the modes that grow."""
 MAX_SEARCHES = 5
 """How often a solved step may find contacts that it overlooked before it counts as failed."""
 
@@ -137,7 +138,7 @@ class Stepper:
         self._forget(worlds)
         active = np.arange(count)
         last_residual, best_residual = np.full(count, np.inf), np.full(count, np.inf)
-        stalled, spent, searches = (np.zeros(count, dtype=int) for _ in range(3))
+        stalled, spent, searches, accelerated = (np.zeros(count, dtype=int) for _ in range(4))
         while len(active):
             rows = self._rows(worlds[active])
             residual = self._evaluate_residual(rows, shared) / force_scale[active]
@@ -158,7 +159,11 @@ class Stepper:
             if solved.any() or not goes_on.all():
                 rows = self._rows(worlds[active])
                 self._evaluate_residual(rows, shared)
-            self._forget(worlds[active[report.residual[active] > RESTART_GROWTH * last_residual[active]]])
+            grows = report.residual[active] > RESTART_GROWTH * last_residual[active]
+            restarts = active[grows & (accelerated[active] >= int(DEPTH))]
+            self._forget(worlds[restarts])
+            accelerated[restarts] = 0
+            accelerated[active] += 1
             last_residual[active] = report.residual[active]
             report.iterations[active] += 1
             spent[active] += 1
