@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pytest
 from ros_processes import isolated_ros
@@ -28,17 +29,31 @@ def connection() -> Iterator[Connection]:
         connection.close()
 
 
-def test_nobody_waits_for_ever_for_a_service(connection: Connection) -> None:
-    """Without an evaluator it is gone; beside one that lacks the service, the time limit holds."""
-    with pytest.raises(EvaluatorGoneError, match="/evaluator/stop"):
-        connection.ask(Trigger, "stop", Trigger.Request(), None)
+@contextmanager
+def status_alone(connection: Connection) -> Iterator[None]:
+    """Let there be a node that has the evaluator's status and nothing else, until the end of the block."""
     context = rclpy.Context()
     rclpy.init(context=context)
     node = rclpy.create_node("evaluator", context=context)
     node.create_publisher(STATUS.message_class, STATUS.name, qos_profile(STATUS))
     while not connection._node.count_publishers("/evaluator/status"):
         time.sleep(0.02)
-    with pytest.raises(TimeoutError, match="/evaluator/stop.*after 0.1 s"):
-        connection.ask(Trigger, "stop", Trigger.Request(), 0.1)
+    yield
     node.destroy_node()
     rclpy.shutdown(context=context)
+
+
+def test_nobody_waits_for_ever_for_a_service(connection: Connection) -> None:
+    """Without an evaluator it is gone; beside one that lacks the service, the time limit holds."""
+    with pytest.raises(EvaluatorGoneError, match="/evaluator/stop"):
+        connection.ask(Trigger, "stop", Trigger.Request(), None)
+    with status_alone(connection), pytest.raises(TimeoutError, match="/evaluator/stop.*after 0.1 s"):
+        connection.ask(Trigger, "stop", Trigger.Request(), 0.1)
+
+
+def test_failed_call_leaves_the_connection_alive(connection: Connection) -> None:
+    """Its caller gets the exception; the thread that takes the answers goes on."""
+    with status_alone(connection):
+        with pytest.raises(ZeroDivisionError):
+            connection.in_spinner(lambda: 1 / 0)
+        assert connection.in_spinner(lambda: 7) == 7

@@ -66,7 +66,8 @@ class Connection:
         self._services: dict[str, Client] = {}
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self._spinner = Thread(target=self._executor.spin, name=node_name, daemon=True)
+        self._is_closed = False
+        self._spinner = Thread(target=self._spin, name=node_name, daemon=True)
         self._spinner.start()
 
     @property
@@ -166,10 +167,18 @@ class Connection:
 
     def close(self) -> None:
         """Leave the ROS graph."""
+        self._is_closed = True
         self._executor.shutdown()
         self._spinner.join()
         self._node.destroy_node()
         self._context.try_shutdown()
+
+    def _spin(self) -> None:
+        while not self._is_closed and self._context.ok():
+            try:
+                self._executor.spin()
+            except Exception as error:  # of one call; the others go on
+                self._node.get_logger().warning(f"{type(error).__name__}: {error}")
 
     def _is_there(self) -> bool:
         return self._node.count_publishers(self._status_topic) > 0
