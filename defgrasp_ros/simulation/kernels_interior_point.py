@@ -192,7 +192,7 @@ def interior_point(
 ) -> wp.float64:
     """Leave the forces with the least residual in ``buffers.best``; return that residual [N].
 
-    ``level`` [N] is the normal force of a contact to start from. The friction coefficient must not be 0.
+    ``level`` [N] is the normal force of a contact to start from. Neither it nor the friction coefficient may be 0.
     """
     w = problems.worlds[row]
     count = problems.count[w]
@@ -204,6 +204,7 @@ def interior_point(
     for c in range(count):
         buffers.x[row, c] = vec3d(level * problems.friction, zero, zero)
         buffers.z[row, c] = vec3d(FIRST_GAP * gap, zero, zero)
+        buffers.best[row, c] = vec3d()
     least = LARGEST
     for _ in range(MAX_ITERATIONS):
         residual = look_around(problems, buffers, row)
