@@ -22,7 +22,7 @@ from defgrasp_ros.experiments.discretisation_error import StressRecovery
 from defgrasp_ros.experiments.interruption import Failure, Interruption
 from defgrasp_ros.experiments.metrics import von_mises_stress
 from defgrasp_ros.experiments.settling import SettledObject
-from defgrasp_ros.experiments.state_sampler import StateSampler
+from defgrasp_ros.experiments.state_sampler import ROUNDING, StateSampler
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.simulation.simulator import Simulator
 from defgrasp_ros.simulation.stepper import StepReport
@@ -163,7 +163,7 @@ class GraspBatch:
 
     def _record(self, worlds: np.ndarray, closing_force: np.ndarray) -> None:
         """Add the present state to the pickups' courses, once per interval, whatever the observer wants."""
-        if not len(worlds) or self.time < self._next_record:
+        if not len(worlds) or self.time < self._next_record - ROUNDING:
             return
         self._next_record = self.time + EvaluationObserver.sample_interval
         candidates, positions = self.of(worlds), self.simulator.positions(worlds)

@@ -21,6 +21,8 @@ PHASES = {
     Experiment.SQUEEZE: Phase.SQUEEZE_FREE,
 }
 """Of the experiments that consist of one phase."""
+ROUNDING = 1e-9
+"""By which a sum of time steps may fall short of the time of a sample [s]."""
 
 
 class StateSampler:
@@ -62,7 +64,7 @@ class StateSampler:
         if directions is not None:
             direction = self._observer.sample_direction
             followed = np.flatnonzero(directions == direction)
-        if not len(followed) or time < self._next_time or not self._observer.wants_samples():
+        if not len(followed) or time < self._next_time - ROUNDING or not self._observer.wants_samples():
             return
         self._next_time = time + self._observer.sample_interval
         chosen = [candidates[row] for row in followed]
