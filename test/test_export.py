@@ -109,6 +109,17 @@ def test_root_has_the_datasets_of_the_original(file):
     assert file["ang_acc_fail_accs"].attrs["unit"] == "rad/s^2"
 
 
+def test_a_grasp_that_held_before_the_end_of_the_run_is_a_success(log, tmp_path):
+    """A run that is stopped in a later experiment has a code that says so; that the grasp held is still known."""
+    run = load_run(log)
+    for recorded, held in zip(run.grasps, (True, False, False), strict=True):
+        recorded.evaluation.code = ResultCode.CANCELED
+        recorded.evaluation.metrics.pickup_success = held
+    write_hdf5(tmp_path / "run.h5", run)
+    with h5py.File(tmp_path / "run.h5") as file:
+        np.testing.assert_array_equal(file["pickup_success"][:], [1.0, np.nan, np.nan])
+
+
 def test_values_are_those_of_the_log(file):
     """What was measured is there, also in DefGraspSim's axes; what was not is nan, never 0."""
     np.testing.assert_array_equal(file["pickup_success"][:], [1.0, 0.0, 0.0])
