@@ -242,7 +242,7 @@ class DeformedState:
 class PickupCourse:
     """The pickup over time, from the start of the squeeze to the end of the hold or the loss; shape ``(sample,)`` each.
 
-    Sampled at ``EvaluationObserver.sample_interval``.
+    Sampled at the default ``EvaluationObserver.sample_interval``, whatever the observer wants.
     """
 
     time: np.ndarray

@@ -135,6 +135,29 @@ def test_turning_slip_about_the_closing_axis_follows_the_torsional_friction(monk
     np.testing.assert_allclose(result.at_slip[ALONG], torque / inertia, rtol=0.05)
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("mirror", [[-1.0, 1.0, 1.0], [1.0, -1.0, 1.0]])
+def test_accelerations_of_a_symmetric_grasp_are_symmetric(symmetric_accelerations, mirror):
+    """Along mirrored directions slip and loss come at the same acceleration; about mirrored axes as well."""
+    for result, sign in zip(symmetric_accelerations, (1.0, -1.0), strict=True):
+        # An axis is mirrored like a magnetic field: the part across the mirror stays, the others turn round.
+        images = [int(np.linalg.norm(DIRECTIONS - sign * d * mirror, axis=1).argmin()) for d in DIRECTIONS]
+        assert sorted(images) == list(range(16)) and not any(result.reasons)
+        np.testing.assert_allclose(result.at_loss, result.at_loss[images], rtol=0.02)
+        np.testing.assert_allclose(result.at_slip, result.at_slip[images], rtol=0.02)
+        assert np.isfinite(result.at_slip).sum() >= 8
+
+
+@pytest.fixture(scope="module")
+def symmetric_accelerations():
+    """Both tests of a block in the middle of the hand; a mesh of an even number of cells is symmetric."""
+    limits = {"max_linear_acceleration": 100.0, "angular_jerk": 4e4, "max_angular_acceleration": 2000.0}
+    both = {"linear_acceleration", "angular_acceleration"}
+    evaluation = evaluate(block(2e5, 0.3), 0.6, load_gripper(), experiments=both, **limits)
+    return evaluation.linear_acceleration, evaluation.angular_acceleration
+
+
 def test_reorientation_of_a_symmetric_grasp_is_symmetric():
     """All 64 states are reached; half turns about opposite axes end alike, and so do mirrored axes."""
     evaluation = evaluate(block(2e5, 0.3), pads=load_gripper(), experiments={Experiment.REORIENTATION})

@@ -59,6 +59,7 @@ def test_elastica_of_a_small_load():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_a_turned_beam_is_an_elastica():
     """In all 64 states the tip is where the elastica ends, to 1.5 % of the length; it sags by up to 36 %.
 

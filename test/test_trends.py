@@ -14,6 +14,7 @@ from defgrasp_ros.errors import ResultCode
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_stability_grows_with_friction():
     """At equal force, slip and loss begin later with more friction."""
     low, high = (result.linear_acceleration for result in trends.friction((0.35, 0.7)).values())
@@ -26,6 +27,7 @@ def test_stability_grows_with_friction():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_softer_objects_deform_more_and_are_stressed_less():
     """At equal force the patch of a soft ball is larger; of a stiff one it is as small as the mesh allows."""
     soft, medium, stiff = (result.metrics for result in trends.stiffness((2e4, 2e5, 2e9)).values())
@@ -34,6 +36,7 @@ def test_softer_objects_deform_more_and_are_stressed_less():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_a_banana_is_held_best_in_the_middle():
     """Near its end it is not even picked up; half way it is lost earlier, under linear and angular acceleration."""
     middle, half_way, end = trends.banana((0.0, 0.35, 0.75)).values()
@@ -43,6 +46,7 @@ def test_a_banana_is_held_best_in_the_middle():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_a_rod_held_at_its_end_follows_the_hand_less():
     """It sags a little more than the heavy elastica of its free length, 34.1 and 5.2 degrees: the grip gives way.
 

@@ -14,7 +14,7 @@ from defgrasp_ros.experiments.settling import deformed_state
 NEAR_RIGID = 1e8
 """Young's modulus above which the larger force is used [Pa] (DefGraspSim)."""
 INCREMENTS = 4
-"""Steps in which the force grows from one sample to the next."""
+"""Steps in which the force grows from one sample to the next; to the first one it takes ``squeeze_time``."""
 
 
 class FreeSqueeze:
@@ -39,7 +39,9 @@ class FreeSqueeze:
         for candidate in candidates:
             nothing = [np.full(len(self.forces), np.nan) for _ in range(4)]
             candidate.evaluation.squeeze = SqueezeResult(self.forces.copy(), *nothing)
-        active, before, duration = np.arange(len(candidates)), 0.0, INCREMENTS * self.batch.options.time_step
+        active, before = np.arange(len(candidates)), 0.0
+        # Slowly at first: pads that close at once would hold on to the shape that the weight gave the object.
+        duration = self.batch.options.squeeze_time
         for sample, force in enumerate(self.forces):
             some = [candidates[i] for i in active]
             start, end = np.full(len(active), before), np.full(len(active), force)
@@ -50,7 +52,7 @@ class FreeSqueeze:
                 else:
                     self._record(candidates[i], worlds[i], sample)
             active = active[[failure is None for failure in outcome]]
-            before = force
+            before, duration = force, INCREMENTS * self.batch.options.time_step
             self.batch.progress(Experiment.SQUEEZE, Phase.SQUEEZE_FREE, (sample + 1) / len(self.forces), len(active))
             if not len(active):
                 break
