@@ -15,7 +15,8 @@ pytest.importorskip("sensor_msgs.msg")
 from recorded_example import GRASPS, write_log  # noqa: E402
 
 from defgrasp_ros.analysis import load_run  # noqa: E402
-from defgrasp_ros.analysis.report_page import chosen_grasps, color_bar, render, write_report  # noqa: E402
+from defgrasp_ros.analysis.report_page import chosen_grasps, render, write_report  # noqa: E402
+from defgrasp_ros.analysis.report_sections import color_bar  # noqa: E402
 from defgrasp_ros.color_scales import stress_scale  # noqa: E402
 from defgrasp_ros.errors import InvalidOptionsError, RecordingError  # noqa: E402
 from defgrasp_ros.rendering import Camera, compose, compose_transparent, solid  # noqa: E402
