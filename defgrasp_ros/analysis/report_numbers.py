@@ -26,6 +26,8 @@ TABLE_TITLES = {
     "angular_instability": "angular instability",
     "deformation_controllability": "controllability",
 }
+SHOWN_IF_MEASURED = ("loss_of_contact_time", "stress_error", "deformation_error")
+"""A loss that did not happen and an estimate that was not made are no news."""
 SUPERSCRIPTS = {"^2": "²", "^3": "³"}
 
 
@@ -161,15 +163,15 @@ def force_numbers(evaluation: GraspEvaluation) -> list[Number]:
         ("applied_force", "applied force", 1.0, "N", ".3g"),
         ("slip_distance", "slip", 1e3, "mm", ".2f"),
         ("holding_time", "held for", 1.0, "s", ".2f"),
+        ("loss_of_contact_time", "contact lost after", 1.0, "s", ".2f"),
         ("stress_error", "stress error", 1e-3, "kPa", ".2f"),
         ("deformation_error", "deformation error", 1e3, "mm", ".2f"),
     )
     numbers = []
     for name, title, factor, unit, style in columns:
         value = getattr(evaluation, name)
-        estimate = name.endswith("_error")
-        if estimate and not math.isfinite(value):
-            continue  # an estimate that was not made is no news
+        if name in SHOWN_IF_MEASURED and not math.isfinite(value):
+            continue
         missing = "" if math.isfinite(value) else evaluation.message
         text, meaning = _format(value * factor, style), meaning_of("GraspEvaluation", name)
         numbers.append(Number(name, title, unit, text, meaning, missing, value))

@@ -12,7 +12,6 @@ from defgrasp_ros.analysis.report_sections import Sections
 from defgrasp_ros.errors import InvalidOptionsError, RecordingError
 from defgrasp_ros.evaluation import EvaluationOptions
 from defgrasp_ros.option import options_of
-from defgrasp_ros.report import FEATURE_COLUMNS
 
 TEMPLATE = "report.html"
 BEST, FAILED = 3, 2
@@ -61,10 +60,6 @@ def render(run: RecordedRun, shown: Sequence[RecordedGrasp]) -> str:
         rows=table_rows(run, columns),
         shown={grasp.index for grasp in shown},
         sections=Sections(run, shown).sections(),
-        feature_meanings=[
-            {"title": title, "unit": shown_unit(unit), "meaning": meaning_of("GraspFeatures", name)}
-            for name, title, _, unit, _ in FEATURE_COLUMNS
-        ],
     )
 
 
@@ -88,7 +83,7 @@ def chosen_grasps(run: RecordedRun, text: str | None) -> list[RecordedGrasp]:
 def _remarkable(run: RecordedRun) -> list[RecordedGrasp]:
     """Return the best grasps, the worst that holds and some that failed, each in its own way."""
     ranking = sorted(run.held, key=lambda grasp: grasp.evaluation.metrics.max_von_mises_stress)
-    failed = [grasp for grasp in run.grasps if grasp not in ranking]
+    failed = [grasp for grasp in run.grasps if not grasp.evaluation.metrics.pickup_success]
     if len(run.grasps) <= SHOW_ALL:
         return [*ranking, *failed]
     kinds = {grasp.evaluation.code: grasp for grasp in reversed(failed)}
