@@ -17,9 +17,9 @@ from recorded_example import GRASPS, write_log  # noqa: E402
 from defgrasp_ros.analysis import load_run  # noqa: E402
 from defgrasp_ros.analysis.report_page import chosen_grasps, render, write_report  # noqa: E402
 from defgrasp_ros.analysis.report_sections import color_bar  # noqa: E402
-from defgrasp_ros.color_scales import stress_scale  # noqa: E402
+from defgrasp_ros.drawing.color_scales import stress_scale  # noqa: E402
+from defgrasp_ros.drawing.rendering import Camera, compose, compose_transparent, solid  # noqa: E402
 from defgrasp_ros.errors import InvalidOptionsError, RecordingError  # noqa: E402
-from defgrasp_ros.rendering import Camera, compose, compose_transparent, solid  # noqa: E402
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 

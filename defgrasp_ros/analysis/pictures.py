@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup, escape
 
-from defgrasp_ros.color_scales import round_numbers
+from defgrasp_ros.drawing.color_scales import round_numbers
+from defgrasp_ros.drawing.rendering import Camera, Layer, compose_transparent, downsample, solid
+from defgrasp_ros.drawing.scene import AZIMUTH, ELEVATION, SUPERSAMPLING, Scene
 from defgrasp_ros.evaluation import AccelerationResult, FingerContact
-from defgrasp_ros.rendering import Camera, Layer, compose_transparent, downsample, solid
-from defgrasp_ros.scene import AZIMUTH, ELEVATION, SUPERSAMPLING, Scene
 
 if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable

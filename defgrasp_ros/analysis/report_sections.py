@@ -29,9 +29,9 @@ from defgrasp_ros.analysis.report_numbers import (
     shown_unit,
 )
 from defgrasp_ros.analysis.tables import ACCELERATIONS, TURNS
-from defgrasp_ros.color_scales import acceleration_scale, deformation_scale, round_numbers, stress_scale
+from defgrasp_ros.drawing.color_scales import acceleration_scale, deformation_scale, round_numbers, stress_scale
+from defgrasp_ros.drawing.scene import STAGES, Scene, drawn_stage
 from defgrasp_ros.evaluation import Experiment
-from defgrasp_ros.scene import STAGES, Scene, drawn_stage
 
 if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from defgrasp_ros.color_scales import round_numbers, stress_scale
+from defgrasp_ros.drawing.color_scales import round_numbers, stress_scale
+from defgrasp_ros.drawing.rendering import Camera, compose, downsample
+from defgrasp_ros.drawing.scene import STAGES, SUPERSAMPLING, Scene, drawn_stage
 from defgrasp_ros.evaluation import GraspEvaluation
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.rendering import Camera, compose, downsample
 from defgrasp_ros.report import FEATURE_COLUMNS, METRIC_COLUMNS
-from defgrasp_ros.scene import STAGES, SUPERSAMPLING, Scene, drawn_stage
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

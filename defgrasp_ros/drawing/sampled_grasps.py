@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from defgrasp_ros.drawing.rendering import Camera, compose, downsample, solid
+from defgrasp_ros.drawing.scene import BOX_CORNERS, BOX_TRIANGLES
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
-from defgrasp_ros.rendering import Camera, compose, downsample, solid
-from defgrasp_ros.scene import BOX_CORNERS, BOX_TRIANGLES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

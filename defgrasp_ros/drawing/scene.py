@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from defgrasp_ros.drawing.rendering import Camera, Layer, solid, with_outline
 from defgrasp_ros.evaluation import DeformedState, GraspEvaluation
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.rendering import Camera, Layer, solid, with_outline
 
 STAGES = {"post_pickup": "after the hold", "at_target_force": "at the target force"}
 """Stages that can be drawn, the first one that there is, and what they are called."""
