@@ -24,7 +24,7 @@ from defgrasp_ros.analysis.tables import (
     TURNS,
 )
 from defgrasp_ros.errors import RecordingError, ResultCode
-from defgrasp_ros.evaluation import DeformedState, Experiment, GraspEvaluation
+from defgrasp_ros.evaluation import DeformedState, Experiment, GraspEvaluation, GraspFeatures, GraspMetrics
 from defgrasp_ros.ros.result_conversion import NUMBERS
 
 if TYPE_CHECKING:
@@ -283,8 +283,8 @@ class _Writer:
         _put(group, "grasp_pose", poses, "m, -", "Grasp frame: position x y z, orientation x y z w")
         for message, names, source in (
             ("GraspEvaluation", NUMBERS, lambda evaluation: evaluation),
-            ("GraspMetrics", _names(evaluations, "metrics"), lambda evaluation: evaluation.metrics),
-            ("GraspFeatures", _names(evaluations, "features"), lambda evaluation: evaluation.features),
+            ("GraspMetrics", _names(GraspMetrics), lambda evaluation: evaluation.metrics),
+            ("GraspFeatures", _names(GraspFeatures), lambda evaluation: evaluation.features),
         ):
             notes = field_notes(f"{INTERFACES}/{message}")
             for name in names:
@@ -417,8 +417,8 @@ def _pose(recorded: RecordedGrasp) -> np.ndarray:
     return np.concatenate([recorded.grasp.position, recorded.grasp.orientation])
 
 
-def _names(evaluations: list, part: str) -> list[str]:
-    return [each.name for each in dataclasses.fields(getattr(evaluations[0], part))]
+def _names(part: type) -> list[str]:
+    return [each.name for each in dataclasses.fields(part)]
 
 
 def _material(run: RecordedRun) -> list[tuple[str, str, float]]:

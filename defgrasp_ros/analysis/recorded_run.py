@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 
 from defgrasp_ros.errors import DefgraspError, RecordingError, ResultCode
-from defgrasp_ros.evaluation import FINGER_NAMES, GraspEvaluation
+from defgrasp_ros.evaluation import FINGER_NAMES, GraspEvaluation, PickupCourse
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper, gripper_from_values, load_gripper
 from defgrasp_ros.material import Material
@@ -144,9 +144,8 @@ def load_run(path: Path) -> RecordedRun:
     request, start = entry.message, entry.publish_time
     parameters = yaml.safe_load(log.provenance.get("parameters", "")) or {}
     notes = [] if log.complete else ["The log was not closed: it ends where its writer stopped."]
-    messages = {message.grasp_index: message for message in log.on("evaluations")}
     try:
-        evaluations = {index: evaluation_from_message(message) for index, message in messages.items()}
+        evaluations = {each.grasp_index: each for each in map(evaluation_from_message, log.on("evaluations"))}
     except AttributeError as error:
         raise RecordingError(f"{log.path} was made with other message definitions than those here: {error}") from error
     gripper_name = request.gripper or parameters.get("gripper", "")
@@ -159,7 +158,7 @@ def load_run(path: Path) -> RecordedRun:
         gripper_name=gripper_name,
         gripper=_gripper(log.provenance.get("gripper", ""), gripper_name, notes),
         options=yaml.safe_load(log.provenance.get("options", "")) or _options(request.options, parameters),
-        grasps=_grasps(log, request.grasps, start, messages, evaluations),
+        grasps=_grasps(log, request.grasps, start, evaluations),
         start_time=start,
         wall_time=(log.messages[-1].log_time - log.messages[0].log_time) / NANOSECONDS,
         provenance=log.provenance,
@@ -169,7 +168,7 @@ def load_run(path: Path) -> RecordedRun:
 
 
 def _grasps(
-    log: LoggedRun, requested: list, start: int, messages: dict[int, Any], evaluations: dict[int, GraspEvaluation]
+    log: LoggedRun, requested: list, start: int, evaluations: dict[int, GraspEvaluation]
 ) -> list[RecordedGrasp]:
     from defgrasp_ros.ros.request_conversion import grasp_from_message
 
@@ -186,15 +185,15 @@ def _grasps(
         except DefgraspError:  # its evaluation says what is wrong
             grasp = None
         missing = GraspEvaluation(index, message.id, code=ResultCode.OPERATION_FAILED, message=NOT_FINISHED)
-        courses = getattr(messages.get(index), "pickup", [])
+        evaluation = evaluations.get(index, missing)
         grasps.append(
             RecordedGrasp(
                 index=index,
                 id=message.id or str(index),
                 grasp=grasp,
-                evaluation=evaluations.get(index, missing),
+                evaluation=evaluation,
                 samples=_samples(contacts[index], openings[message.id or str(index)], start),
-                pickup=_pickup(courses[0]) if courses else None,
+                pickup=evaluation.pickup and _pickup(evaluation.pickup),
             )
         )
     return grasps
@@ -218,9 +217,8 @@ def _opening(joints: Any) -> float:
     return positions.get(f"{FINGER_NAMES[0]}_joint", np.nan)
 
 
-def _pickup(course: Any) -> TimeSeries:
-    values = {name: np.asarray(getattr(course, name), dtype=float) for name in PICKUP_FIELDS}
-    return TimeSeries(np.asarray(course.time, dtype=float), values)
+def _pickup(course: PickupCourse) -> TimeSeries:
+    return TimeSeries(course.time, {name: getattr(course, name) for name in PICKUP_FIELDS})
 
 
 def _options(options: Any, parameters: dict[str, Any]) -> dict[str, Any]:
