@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -123,6 +124,14 @@ def test_pictures_and_charts_are_there(page, text):
 def test_names_are_escaped(text):
     """What users call things is text, not markup."""
     assert "centre <b>" not in text and "centre &lt;b&gt;" in text and "block &amp; co" in text
+
+
+def test_reason_for_no_picture_keeps_its_units(run):
+    """The sentence begins with a capital letter, and newtons stay N."""
+    before = {"pre_contact": run.grasps[0].evaluation.fields["pre_contact"]}
+    weak = replace(run.grasps[2].evaluation, message="the pads reached 1 N", fields=before)
+    grasp = replace(run.grasps[2], evaluation=weak)
+    assert "The pads reached 1 N." in render(replace(run, grasps=[grasp]), [grasp])
 
 
 def test_choice_of_grasps(run):

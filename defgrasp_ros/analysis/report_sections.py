@@ -159,7 +159,8 @@ class Sections:
         if self.run.model is None:
             return "No pictures: the log does not hold the object's tetrahedra."
         if grasp.evaluation.fields:
-            return f"No pictures: the object was not grasped. {grasp.evaluation.message.capitalize()}."
+            message = grasp.evaluation.message
+            return f"No pictures: the object was not grasped. {message[:1].upper()}{message[1:]}."
         return "No pictures: the log holds no fields over the mesh for this grasp."
 
     def _stability(self, grasp: RecordedGrasp, experiment: Experiment) -> dict[str, Any] | None:

@@ -128,7 +128,7 @@ def unscaled(v: vec3d, friction: wp.float64) -> vec3d:
 
 
 @wp.func
-def look_around(problems: ContactProblems, buffers: InteriorPointBuffers, row: int) -> wp.float64:
+def evaluate_iterate(problems: ContactProblems, buffers: InteriorPointBuffers, row: int) -> wp.float64:
     """Take the iterate's forces, motions and what its equation misses; return its residual [N]."""
     w = problems.worlds[row]
     count = problems.count[w]
@@ -207,7 +207,7 @@ def interior_point(
         buffers.best[row, c] = vec3d()
     least = LARGEST
     for _ in range(MAX_ITERATIONS):
-        residual = look_around(problems, buffers, row)
+        residual = evaluate_iterate(problems, buffers, row)
         if residual < least:
             least = residual
             for c in range(count):
