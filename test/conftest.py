@@ -1,10 +1,17 @@
 """Fixtures shared by the tests."""
 
 import os
+import signal
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+
+
+def pytest_configure() -> None:
+    """Undo that a shell starts background jobs deaf to Ctrl-C: the processes that tests interrupt would inherit it."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

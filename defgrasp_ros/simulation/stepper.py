@@ -24,7 +24,7 @@ import warp as wp
 
 from defgrasp_ros.simulation import kernels_contact as contact
 from defgrasp_ros.simulation import kernels_elasticity as elastic
-from defgrasp_ros.simulation.anderson import Anderson
+from defgrasp_ros.simulation.anderson import DEPTH, Anderson
 from defgrasp_ros.simulation.contact_set import ContactSet
 from defgrasp_ros.simulation.dense import multiply_rows
 from defgrasp_ros.simulation.device_model import DeviceModel
@@ -41,11 +41,12 @@ CONTACT_TOLERANCE = 2e-7
 CONTACT_REDUCTION = 1e-3
 """Early iterations need no better contact forces than this fraction of their residual [-]."""
 MAX_ITERATIONS = 40
-"""Iterations after which a step is given up."""
+"""Iterations after which a step is given up; all counts begin anew where overlooked contacts were found."""
 MAX_STALLED = 8
 """Iterations in a row that do not reduce the residual after which a step is given up."""
 RESTART_GROWTH = 2.0
-"""Growth of the residual in an iteration at which the acceleration starts anew [-]."""
+"""Growth of the residual in an iteration at which the acceleration starts anew [-], unless it has just begun: where the
+plain iteration diverges, it must be let go on until it knows the modes that grow."""
 MAX_SEARCHES = 5
 """How often a solved step may find contacts that it overlooked before it counts as failed."""
 
@@ -137,29 +138,35 @@ class Stepper:
         self._forget(worlds)
         active = np.arange(count)
         last_residual, best_residual = np.full(count, np.inf), np.full(count, np.inf)
-        stalled = np.zeros(count, dtype=int)
-        searches = np.zeros(count, dtype=int)
-        for iteration in range(MAX_ITERATIONS + 1):
+        stalled, spent, searches, accelerated = (np.zeros(count, dtype=int) for _ in range(4))
+        while len(active):
             rows = self._rows(worlds[active])
             residual = self._evaluate_residual(rows, shared) / force_scale[active]
             report.residual[active] = residual
             stalled[active] = np.where(residual < best_residual[active], 0, stalled[active] + 1)
             best_residual[active] = np.fmin(best_residual[active], residual)
-            goes_on = np.isfinite(residual) & (stalled[active] <= MAX_STALLED)
+            goes_on = np.isfinite(residual) & (stalled[active] <= MAX_STALLED) & (spent[active] < MAX_ITERATIONS)
             solved = residual < TOLERANCE
             if solved.any():
                 incomplete = self._overlooked_contacts(worlds, active, solved, searches)
                 report.converged[active[solved & ~incomplete]] = True
-                goes_on &= ~solved | (incomplete & (searches[active] <= MAX_SEARCHES))
+                again = active[incomplete]
+                spent[again], stalled[again], best_residual[again] = 0, 0, np.inf
+                goes_on = np.where(solved, incomplete & (searches[active] <= MAX_SEARCHES), goes_on)
             active = active[goes_on]
-            if iteration == MAX_ITERATIONS or not len(active):
+            if not len(active):
                 break
             if solved.any() or not goes_on.all():
                 rows = self._rows(worlds[active])
                 self._evaluate_residual(rows, shared)
-            self._forget(worlds[active[report.residual[active] > RESTART_GROWTH * last_residual[active]]])
+            grows = report.residual[active] > RESTART_GROWTH * last_residual[active]
+            restarts = active[grows & (accelerated[active] >= int(DEPTH))]
+            self._forget(worlds[restarts])
+            accelerated[restarts] = 0
+            accelerated[active] += 1
             last_residual[active] = report.residual[active]
             report.iterations[active] += 1
+            spent[active] += 1
             reduction = np.maximum(CONTACT_TOLERANCE, CONTACT_REDUCTION * report.residual[active])
             report.contact_fallbacks[active] += self._correct(rows, shared, force_scale[active] * reduction)
 
