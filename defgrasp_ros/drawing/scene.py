@@ -23,6 +23,8 @@ PLATFORM_STAGE = "at_target_force"
 AZIMUTH, ELEVATION = math.radians(-50.0), math.radians(22.0)
 SUPERSAMPLING = 2
 """Pixels that are rendered for one of the picture, along each side."""
+SOFTNESS = 0.012
+"""Width of the shading around things in front of others, relative to the height of the picture."""
 
 FINGER_COLOR, FINGER_OUTLINE, FINGER_OPACITY = np.array([0.45, 0.55, 0.68]), np.array([0.15, 0.2, 0.3]), 0.42
 IDLE_COLOR, IDLE_FINGER_OPACITY = np.array([0.82, 0.82, 0.82]), 0.25
