@@ -22,7 +22,7 @@ from defgrasp_ros.mesh.shapes import box
 from defgrasp_ros.object_model import ObjectModel
 from defgrasp_ros.ros.fields import time_message
 from defgrasp_ros.ros.joint_states import sample_to_joint_state
-from defgrasp_ros.ros.markers import Scene
+from defgrasp_ros.ros.markers import GraspMarkers
 from defgrasp_ros.ros.point_cloud import fields_to_point_cloud
 from defgrasp_ros.ros.state_conversion import sample_to_contact_state
 from defgrasp_ros.ros.wrenches import sample_to_wrenches
@@ -51,7 +51,7 @@ class Stopwatch(EvaluationObserver):
 
     def __init__(self, model: ObjectModel):
         self.sample_interval = OPTIONS.squeeze_time
-        self._scene = Scene(model.mesh, HAND)
+        self._markers = GraspMarkers(model.mesh, HAND)
         self._done = False
 
     def on_samples(self, samples: Sequence[GraspSample]) -> None:
@@ -61,7 +61,7 @@ class Stopwatch(EvaluationObserver):
         self._done = True
         fields = sample.read_fields()
         contacts = sum(contact.count for contact in sample.contacts)
-        triangles = len(self._scene.mesh.surface_triangles)
+        triangles = len(self._markers.mesh.surface_triangles)
         print(f"{len(fields.positions)} nodes, {triangles} triangles, {contacts} contacts")
         print(f"  {'fields':<14} read  {milliseconds(sample.read_fields):7.2f} ms")
         builders = {
@@ -69,7 +69,7 @@ class Stopwatch(EvaluationObserver):
             "contacts": lambda: sample_to_contact_state(sample, STAMP),
             "both wrenches": lambda: sample_to_wrenches(sample, STAMP),
             "object_points": lambda: fields_to_point_cloud(fields, STAMP),
-            "markers": lambda: self._scene.picture(sample, fields, STAMP),
+            "markers": lambda: self._markers.draw(sample, fields, STAMP),
         }
         for name, build in builders.items():
             messages = build() if isinstance(build(), list) else [build()]

@@ -11,6 +11,7 @@ canceled: what is finished comes back, the rest is CANCELED.
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 
 from defgrasp_ros.client import EvaluationProgress, GraspEvaluatorClient, RegisteredObject
@@ -31,7 +32,8 @@ def show_progress(progress: EvaluationProgress) -> None:
     """Print how far the evaluator is, in a line that the next one overwrites."""
     phase = progress.phase.name.lower().replace("_", " ")
     done = f"{progress.finished_grasps}/{progress.grasp_count}"
-    print(f"\r{phase}: {progress.fraction:4.0%}, {done}, {progress.time_remaining:.0f} s left   ", end="", flush=True)
+    left = f"{progress.time_remaining:.0f} s left" if math.isfinite(progress.time_remaining) else ""
+    print(f"\r{phase}: {progress.fraction:4.0%}, {done} {left:<15}", end="", flush=True)
 
 
 def watch(object_name: str, count: int, patience: float) -> ResultCode:

@@ -14,9 +14,11 @@ from defgrasp_ros import evaluation as ev
 from defgrasp_ros.errors import ResultCode
 from defgrasp_ros.experiments.directions import sphere_directions
 from defgrasp_ros.grasp import Grasp
+from defgrasp_ros.gripper import load_gripper
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.shapes import box
-from defgrasp_ros.recording import RunLog, Topic
+from defgrasp_ros.recording import RunLog, Topic, provenance, run_attachments
+from defgrasp_ros.ros.object_source import RegisteredObject
 from defgrasp_ros.ros.request_conversion import grasp_to_message, object_to_message, options_to_message
 from defgrasp_ros.ros.result_conversion import evaluation_to_message
 
@@ -30,7 +32,6 @@ GRASPS = [
     Grasp(np.array([0.0, 0.2, 0.0]), FROM_ABOVE, id="beside"),
 ]
 EXPERIMENTS = ("pickup", "reorientation", "linear_acceleration", "angular_acceleration", "squeeze")
-PARAMETERS = "device: cpu\ngripper: franka_hand\nexperiment.pickup_hold_time: 4.0\n"
 CUT_OFF = 60
 """Bytes that a log lacks whose writer was killed: at least the footer."""
 TOPICS = {
@@ -111,23 +112,22 @@ def write_log(directory: Path, *, with_mesh: bool = True, finished: int = 3, clo
 
     Args:
         directory: Where.
-        with_mesh: Whether the request has the tetrahedra.
+        with_mesh: Whether the tetrahedra are inside.
         finished: Of how many grasps there is a result.
         close: Whether the log is closed; otherwise it ends as if its writer had been killed.
     """
-    options = ev.EvaluationOptions(experiments=EXPERIMENTS, return_fields=True)
+    options = ev.EvaluationOptions(experiments=EXPERIMENTS, return_fields=True, pickup_hold_time=4.0)
+    gripper = load_gripper()
     request = EvaluationRequest(
-        object=object_to_message(BLOCK, MATERIAL, "block & co"),
+        object=object_to_message(RegisteredObject("block"), MATERIAL, "block & co"),
         grasps=[grasp_to_message(grasp) for grasp in GRASPS],
         options=options_to_message(options),
     )
     request.options.pickup_hold_time = 0.0  # left to the evaluator
-    if not with_mesh:
-        request.object.tetrahedra.vertices, request.object.tetrahedra.tetrahedra = [], []
-        request.object.uri = "file:///gone.stl"
     results = [held(), missed(1, ResultCode.DROPPED, "it slipped out"), missed(2, ResultCode.NO_CONTACT, "beside it")]
-    provenance = {"version.defgrasp_ros": "1.2.3", "device": "cpu", "parameters": PARAMETERS}
-    log = RunLog(directory, "run", list(TOPICS.values()), provenance)
+    facts = provenance("cpu", {}, gripper, options) | {"version.defgrasp_ros": "1.2.3"}
+    files = run_attachments(BLOCK, gripper) if with_mesh else []
+    log = RunLog(directory, "run", list(TOPICS.values()), facts, files)
     log.write("/evaluator/request", request, START)
     for step in range(5):
         _write_sample(log, step)

@@ -15,6 +15,7 @@ from defgrasp_interfaces.action import EvaluateGrasps  # noqa: E402
 
 from defgrasp_ros.errors import ResultCode  # noqa: E402
 from defgrasp_ros.ros.evaluation_queue import EvaluationJob, EvaluationQueue  # noqa: E402
+from defgrasp_ros.ros.evaluation_run import full_answer  # noqa: E402
 from defgrasp_ros.ros.goal_feedback import GoalFeedback  # noqa: E402
 from defgrasp_ros.ros.stop_signal import StopSignal  # noqa: E402
 
@@ -115,6 +116,20 @@ def test_first_reason_to_stop_counts() -> None:
     assert late.code == ResultCode.TIMEOUT and "time_limit = 1e-09 s" in late.reason
     free.limit(0.0)
     assert not free.is_set() and (free.code, free.reason) == (ResultCode.OK, "")
+
+
+def test_every_grasp_of_an_unfinished_run_has_an_answer() -> None:
+    """What is known stays; the others get code, reason and the id of the request, which may be empty."""
+    request = msg.EvaluationRequest(grasps=[msg.Grasp(id="a"), msg.Grasp(), msg.Grasp(id="c")])
+    known = {0: msg.GraspEvaluation(grasp_id="a", result=msg.Result(code=ResultCode.OK))}
+    answer = full_answer(request, ResultCode.TIMEOUT, "too late", known)
+    found = [(each.grasp_index, each.grasp_id, each.result.code) for each in answer.evaluations]
+    assert found == [(0, "a", ResultCode.OK), (1, "", ResultCode.TIMEOUT), (2, "c", ResultCode.TIMEOUT)]
+    assert answer.result.code == ResultCode.TIMEOUT and "too late" in answer.result.message
+    known |= {each.grasp_index: each for each in answer.evaluations[1:]}
+    for each in known.values():
+        each.result.code = int(ResultCode.DROPPED)
+    assert full_answer(request, ResultCode.TIMEOUT, "too late", known).result.code == ResultCode.OK
 
 
 def status(**values: object) -> msg.EvaluatorStatus:

@@ -176,7 +176,7 @@ def test_help_of_the_node() -> None:
 
 
 def test_diagnostics_tell_how_each_part_is(operator: Operator, tmp_path: Path) -> None:
-    """One status per part, once a second; a run that fails is a warning."""
+    """Each part has a status: a run that fails is a warning until the next, a folder that is none is an error."""
     heard: list[dict[str, DiagnosticStatus]] = []
     operator.node.create_subscription(
         DiagnosticArray,
@@ -195,6 +195,11 @@ def test_diagnostics_tell_how_each_part_is(operator: Operator, tmp_path: Path) -
             client.evaluate_grasps(BLOCK, MATERIAL, [CENTRE], gripper="lobster", timeout=TIMEOUT)
         operator.wait_until(lambda: heard[-1]["last run"].level == DiagnosticStatus.WARN)
         assert "lobster" in heard[-1]["last run"].message
+        require_good_answer(client)
+        operator.wait_until(lambda: heard[-1]["last run"].level == DiagnosticStatus.OK)
+        assert heard[-1]["logs"].level == DiagnosticStatus.OK
+        assert operator.set_parameter("record.directory", str(tmp_path / "evaluator.txt" / "logs")) == ""
+        operator.wait_until(lambda: heard[-1]["logs"].level == DiagnosticStatus.ERROR)
 
 
 def require_good_answer_after_start(client: GraspEvaluatorClient) -> None:

@@ -14,7 +14,8 @@ pytest.importorskip("defgrasp_interfaces.msg", reason="the message definitions a
 pytest.importorskip("sensor_msgs.msg")
 
 import h5py  # noqa: E402
-from recorded_example import BLOCK, GRASPS, held, stretched, write_log  # noqa: E402
+from defgrasp_interfaces.msg import EvaluationRequest  # noqa: E402
+from recorded_example import BLOCK, GRASPS, TOPICS, held, stretched, write_log  # noqa: E402
 
 from defgrasp_ros.analysis import load_run  # noqa: E402
 from defgrasp_ros.analysis.field_notes import field_notes  # noqa: E402
@@ -22,6 +23,7 @@ from defgrasp_ros.analysis.hdf5_export import to_world, write_hdf5  # noqa: E402
 from defgrasp_ros.analysis.tables import write_tables  # noqa: E402
 from defgrasp_ros.commands.export import export  # noqa: E402
 from defgrasp_ros.errors import InvalidOptionsError, RecordingError, ResultCode  # noqa: E402
+from defgrasp_ros.recording import RunLog  # noqa: E402
 
 NODES, TETS = len(BLOCK.vertices), len(BLOCK.tetrahedra)
 MASTER_SHAPES = {
@@ -88,8 +90,8 @@ def file(log, tmp_path_factory):
 def test_log_is_read_as_data_classes(log):
     """Object, options (the evaluator's own where the request left them out), results and curves are those written."""
     run = load_run(log.parent)
-    assert (run.object_name, run.gripper_name, run.complete, run.notes) == ("block & co", "franka_hand", True, [])
-    assert run.options["pickup_hold_time"] == 4.0 and run.options["return_fields"] is True
+    assert (run.object_name, run.gripper.name, run.complete, run.notes) == ("block & co", "franka_hand", True, [])
+    assert run.options.pickup_hold_time == 4.0 and run.options.return_fields is True
     assert [grasp.evaluation.code for grasp in run.grasps] == [ResultCode.OK, ResultCode.DROPPED, ResultCode.NO_CONTACT]
     np.testing.assert_allclose(run.mesh.vertices, BLOCK.vertices)
     samples = run.grasps[0].samples
@@ -224,6 +226,10 @@ def test_bad_input_is_named(log, tmp_path):
         load_run(tmp_path / "text.mcap")
     with pytest.raises(RecordingError, match="gone.mcap"):
         load_run(tmp_path / "gone.mcap")
+    with RunLog(tmp_path, "bare", [TOPICS["request"]], {}) as bare:
+        bare.write("/evaluator/request", EvaluationRequest(), 1)
+    with pytest.raises(RecordingError, match="does not say with which gripper"):
+        load_run(bare.path)
     with pytest.raises(InvalidOptionsError, match="--hdf5"):
         export(log)
     with pytest.raises(RecordingError, match="cannot write"):

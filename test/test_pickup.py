@@ -195,6 +195,8 @@ def test_fields_of_the_last_sample_are_those_of_the_metrics():
     np.testing.assert_allclose(reader.fields.positions, evaluation.fields["post_pickup"].positions, atol=1e-5)
     nodal = model.mesh.nodal_mean(evaluation.fields["post_pickup"].von_mises_stress)
     np.testing.assert_allclose(reader.fields.von_mises_stress, nodal, rtol=2e-2)
+
+
 def test_the_course_of_a_pickup(run):
     """Samples are even; both pads carry the target force in the hold, the platform the weight before, nothing then."""
     model, evaluations, _ = run

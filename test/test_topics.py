@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from ros_processes import isolated_ros
 from scipy.spatial.transform import Rotation
 
+from defgrasp_ros.drawing.color_scales import stress_scale
 from defgrasp_ros.evaluation import Experiment, FingerContact, GraspSample, NodalFields, Phase
 from defgrasp_ros.experiments.directions import DIRECTION_COUNT
 from defgrasp_ros.grasp import Grasp
@@ -29,7 +31,7 @@ from visualization_msgs.msg import Marker  # noqa: E402
 
 from defgrasp_ros.ros.fields import time_message  # noqa: E402
 from defgrasp_ros.ros.joint_states import JOINT_NAMES, sample_to_joint_state  # noqa: E402
-from defgrasp_ros.ros.markers import Scene, stress_colors  # noqa: E402
+from defgrasp_ros.ros.markers import GraspMarkers  # noqa: E402
 from defgrasp_ros.ros.outputs import Outputs  # noqa: E402
 from defgrasp_ros.ros.parameters import PARAMETERS, declare_parameters, parameter_values  # noqa: E402
 from defgrasp_ros.ros.point_cloud import fields_to_point_cloud  # noqa: E402
@@ -202,7 +204,7 @@ def test_markers_draw_the_state() -> None:
     """They replace the last picture, and hold surface, both pads, the frame, every force, the platform and a text."""
     state = sample(POSES["any"])
     fields = state.read_fields()
-    clear, *markers = Scene(MESH, HAND).picture(state, fields, STAMP).markers
+    clear, *markers = GraspMarkers(MESH, HAND).draw(state, fields, STAMP).markers
     assert clear.action == Marker.DELETEALL
     assert len({(marker.ns, marker.id) for marker in markers}) == len(markers)
     assert {marker.header.frame_id for marker in markers} == {"world"}
@@ -229,14 +231,25 @@ def test_markers_without_platform_and_contact() -> None:
     """What is not there is not drawn."""
     nothing = tuple(contact(name, 0, 0) for name in ("left_finger", "right_finger"))
     state = sample(contacts=nothing, platform_height=np.nan)
-    names = [marker.ns for marker in Scene(MESH, HAND).picture(state, state.read_fields(), STAMP).markers]
+    names = [marker.ns for marker in GraspMarkers(MESH, HAND).draw(state, state.read_fields(), STAMP).markers]
     assert names == ["", "object", "pads", "pads", "grasp_frame", "text"]
 
 
-def test_unstressed_object_has_the_first_color() -> None:
-    """Without stress there is no scale, and no number that is not finite."""
-    np.testing.assert_array_equal(stress_colors(np.zeros(3), 0.0), stress_colors(np.array([0.0, 0.0, 0.0]), 1.0))
-    assert not np.array_equal(stress_colors(np.ones(1), 1.0), stress_colors(np.zeros(1), 1.0))
+def test_stress_has_the_colors_of_the_pictures() -> None:
+    """Each corner has its node's color on the scale of all pictures; without stress all have the first."""
+    state = sample()
+    fields = state.read_fields()
+
+    def surface_colors(fields: NodalFields) -> np.ndarray:
+        surface = GraspMarkers(MESH, HAND).draw(state, fields, STAMP).markers[1]
+        return np.array([[color.r, color.g, color.b, color.a] for color in surface.colors])
+
+    stress = fields.von_mises_stress[MESH.surface_nodes]
+    expected = stress_scale([stress]).to_rgba(fields.von_mises_stress[MESH.surface_triangles.ravel()])
+    np.testing.assert_allclose(surface_colors(fields), expected, atol=1e-6)
+    assert np.ptp(expected, axis=0).max() > 0.5
+    calm = surface_colors(dataclasses.replace(fields, von_mises_stress=np.zeros(len(MESH.vertices))))
+    np.testing.assert_allclose(calm, np.tile(stress_scale([stress]).to_rgba(0.0), (len(calm), 1)), atol=1e-6)
 
 
 class Listeners:

@@ -24,7 +24,7 @@ from defgrasp_ros.analysis.tables import (
     TURNS,
 )
 from defgrasp_ros.errors import RecordingError, ResultCode
-from defgrasp_ros.evaluation import DeformedState, Experiment, GraspEvaluation, GraspFeatures, GraspMetrics
+from defgrasp_ros.evaluation import DeformedState, Experiment, GraspEvaluation, GraspFeatures, GraspMetrics, in_order
 from defgrasp_ros.ros.result_conversion import NUMBERS
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ class _Writer:
             {
                 "description": "Run of defgrasp_ros; datasets of DefGraspSim at the root, nan: not measured",
                 "object": run.object_name,
-                "gripper": run.gripper_name,
+                "gripper": run.gripper.name,
                 "log": run.path.name,
                 "complete": run.complete,
                 "frame": "world of DefGraspSim: y up; from the object frame (x y z): x, z + 1 m, -y",
@@ -264,7 +264,8 @@ class _Writer:
         group = self.file.create_group(GROUP)
         group.attrs["frame"] = "object frame: that of the mesh vertices, z up; quaternions x y z w"
         group.attrs.update({f"provenance.{name}": text for name, text in self.run.provenance.items()})
-        group.attrs.update({f"options.{name}": _plain(value) for name, value in self.run.options.items()})
+        options = {**dataclasses.asdict(self.run.options), "experiments": in_order(self.run.options.experiments)}
+        group.attrs.update({f"options.{name}": _plain(value) for name, value in options.items()})
         self._own_numbers(group)
         self._own_mesh(group)
         for experiment, unit in ACCELERATIONS.items():

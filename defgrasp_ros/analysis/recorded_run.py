@@ -10,19 +10,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from defgrasp_ros.errors import DefgraspError, RecordingError, ResultCode
-from defgrasp_ros.evaluation import FINGER_NAMES, GraspEvaluation, PickupCourse
+from defgrasp_ros.evaluation import FINGER_NAMES, EvaluationOptions, GraspEvaluation, PickupCourse
 from defgrasp_ros.grasp import Grasp
-from defgrasp_ros.gripper import Gripper, gripper_from_values, load_gripper
+from defgrasp_ros.gripper import Gripper
+from defgrasp_ros.gripper_urdf import FINGER_JOINTS
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.tet_mesh import TetMesh
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.recording import LoggedMessage, LoggedRun, read_log
-from defgrasp_ros.recording.attachments import MESH_FILE
+from defgrasp_ros.recording import LoggedMessage, LoggedRun, read_log, run_inputs
+from defgrasp_ros.recording.topic import NANOSECONDS
 
-NANOSECONDS = 1_000_000_000
+TOPICS = ("request", "status", "evaluations", "contacts", "joint_states", "all_joint_states")
+"""What is read; points and markers only draw the rest again."""
 NOT_FINISHED = "not finished: the log ends before its result"
 
 PICKUP_FIELDS = (
@@ -89,11 +90,9 @@ class RecordedRun:
     material: Material
     mesh: TetMesh | None
     """None if the log does not hold the tetrahedra; ``notes`` says so."""
-    gripper_name: str
-    gripper: Gripper | None
-    """None if the log does not describe it and there is none of that name here; ``notes`` says so."""
-    options: dict[str, Any]
-    """The experiment options that were in force."""
+    gripper: Gripper
+    options: EvaluationOptions
+    """Those that were in force."""
     grasps: list[RecordedGrasp]
     """In the order of the request."""
     start_time: int
@@ -131,39 +130,36 @@ def load_run(path: Path) -> RecordedRun:
         path: The MCAP file, or the bag folder that holds it.
 
     Raises:
-        RecordingError: If it cannot be read, or holds no request of an evaluator.
+        RecordingError: If it cannot be read, or holds no request of an evaluator, or not how its run was made.
     """
     from defgrasp_ros.ros.request_conversion import material_from_message
     from defgrasp_ros.ros.result_conversion import evaluation_from_message
 
-    log = read_log(path)
+    log = read_log(path, *TOPICS)
     entry = next((entry for entry in log.messages if entry.topic.endswith("/request")), None)
     if entry is None:
         cause = "it ends before" if not log.complete else "it is no log of an evaluator"
         raise RecordingError(f"{log.path} holds no message on ~/request: {cause}")
     request, start = entry.message, entry.publish_time
-    parameters = yaml.safe_load(log.provenance.get("parameters", "")) or {}
-    notes = [] if log.complete else ["The log was not closed: it ends where its writer stopped."]
+    inputs = run_inputs(log)
     try:
         evaluations = {each.grasp_index: each for each in map(evaluation_from_message, log.on("evaluations"))}
     except AttributeError as error:
         raise RecordingError(f"{log.path} was made with other message definitions than those here: {error}") from error
-    gripper_name = request.gripper or parameters.get("gripper", "")
     return RecordedRun(
         name=log.path.stem.removesuffix("_0"),
         path=log.path,
         object_name=request.object.name or "object",
         material=material_from_message(request.object.material),
-        mesh=_mesh(log, request.object, evaluations.values(), notes),
-        gripper_name=gripper_name,
-        gripper=_gripper(log.provenance.get("gripper", ""), gripper_name, notes),
-        options=yaml.safe_load(log.provenance.get("options", "")) or _options(request.options, parameters),
+        mesh=inputs.mesh,
+        gripper=inputs.gripper,
+        options=inputs.options,
         grasps=_grasps(log, request.grasps, start, evaluations),
         start_time=start,
         wall_time=(log.messages[-1].log_time - log.messages[0].log_time) / NANOSECONDS,
         provenance=log.provenance,
         complete=log.complete,
-        notes=notes,
+        notes=_notes(log, inputs.mesh, evaluations.values()),
     )
 
 
@@ -214,55 +210,18 @@ def _samples(contacts: list[LoggedMessage], openings: dict[int, float], start: i
 def _opening(joints: Any) -> float:
     """Return the position of the left finger [m]; nan if the message has no such joint."""
     positions = dict(zip(joints.name, joints.position, strict=False))
-    return positions.get(f"{FINGER_NAMES[0]}_joint", np.nan)
+    return positions.get(FINGER_JOINTS[0], np.nan)
 
 
 def _pickup(course: PickupCourse) -> TimeSeries:
     return TimeSeries(course.time, {name: getattr(course, name) for name in PICKUP_FIELDS})
 
 
-def _options(options: Any, parameters: dict[str, Any]) -> dict[str, Any]:
-    """Return the options of a request, the evaluator's own where it left them out."""
-    names = [name for name in options.__slots__ if name != "record"]
-    given = {name: getattr(options, name) for name in names}
-    defaults = {name: parameters.get(f"experiment.{name}", given[name]) for name in names}
-    return {name: value if isinstance(value, bool) or value else defaults[name] for name, value in given.items()}
-
-
-def _gripper(values: str, name: str, notes: list[str]) -> Gripper | None:
-    """Return the gripper of a log's values (YAML); of a log without them, the one that has its name here."""
-    try:
-        return gripper_from_values(yaml.safe_load(values)) if values else load_gripper(name)
-    except DefgraspError as error:
-        notes.append(f"Fingers are not drawn: {error}.")
-        return None
-
-
-def _mesh(log: LoggedRun, message: Any, evaluations: Iterable[GraspEvaluation], notes: list[str]) -> TetMesh | None:
-    """Return the tetrahedra that were simulated; None if the log has none that fit its fields."""
-    mesh = _logged_tetrahedra(log, message)
+def _notes(log: LoggedRun, mesh: TetMesh | None, evaluations: Iterable[GraspEvaluation]) -> list[str]:
+    """Return what is missing, and why."""
+    notes = [] if log.complete else ["The log was not closed: it ends where its writer stopped."]
     if mesh is None:
         notes.append("The log does not hold the object's tetrahedra: fields over the mesh cannot be drawn.")
-        return None
-    states = [state for evaluation in evaluations for state in evaluation.fields.values()]
-    if not states:
+    elif not any(evaluation.fields for evaluation in evaluations):
         notes.append("The log holds no fields over the mesh; ask for them with options.return_fields.")
-        return mesh
-    for order in (1, 2):
-        of_order = TetMesh(mesh.vertices, mesh.tetrahedra, order)
-        if all(len(state.positions) == len(of_order.vertices) for state in states):
-            return of_order
-    notes.append("The object's tetrahedra in the log are not those of its fields: these cannot be drawn.")
-    return None
-
-
-def _logged_tetrahedra(log: LoggedRun, message: Any) -> TetMesh | None:
-    from defgrasp_ros.mesh.mesh_files import parse_mesh
-
-    attachment = log.attachments.get(MESH_FILE)
-    if attachment is not None:
-        return TetMesh(*parse_mesh(attachment.data, Path(MESH_FILE).suffix))
-    if not len(message.tetrahedra.vertices):
-        return None
-    vertices = np.asarray(message.tetrahedra.vertices).reshape(-1, 3) * (message.scale or 1.0)
-    return TetMesh(vertices, np.asarray(message.tetrahedra.tetrahedra).reshape(-1, 4))
+    return notes

@@ -138,7 +138,7 @@ def _why_missing(run: RecordedRun, evaluation: GraspEvaluation, experiment: Expe
         return "not measured by this evaluator"
     result = getattr(evaluation, experiment)
     if result is None:
-        asked = experiment in run.options.get("experiments", [])
+        asked = experiment in run.options.experiments
         return "the experiment has no result" if asked else "the experiment was not asked for"
     count = sum(map(bool, result.reasons))
     first = next(filter(None, result.reasons), "")

@@ -10,8 +10,9 @@ from defgrasp_ros.analysis.recorded_run import RecordedGrasp, RecordedRun
 from defgrasp_ros.analysis.report_numbers import TABLE_TITLES, meaning_of, metric_columns, shown_unit, table_rows
 from defgrasp_ros.analysis.report_sections import Sections
 from defgrasp_ros.errors import InvalidOptionsError, RecordingError
-from defgrasp_ros.evaluation import EvaluationOptions
+from defgrasp_ros.evaluation import EvaluationOptions, in_order
 from defgrasp_ros.option import options_of
+from defgrasp_ros.recording.topic import NANOSECONDS
 
 TEMPLATE = "report.html"
 BEST, FAILED = 3, 2
@@ -120,10 +121,10 @@ def _facts(run: RecordedRun) -> list[tuple[str, list[tuple[str, str]]]]:
         (
             "Run",
             [
-                ("gripper", run.gripper_name or "unknown"),
-                ("experiments", ", ".join(name.replace("_", " ") for name in run.options.get("experiments", []))),
+                ("gripper", run.gripper.name),
+                ("experiments", ", ".join(name.replace("_", " ") for name in in_order(run.options.experiments))),
                 ("device", run.provenance.get("device", "unknown")),
-                ("start", f"{datetime.fromtimestamp(run.start_time / 1e9).astimezone():%Y-%m-%d %H:%M:%S %Z}"),
+                ("start", f"{datetime.fromtimestamp(run.start_time / NANOSECONDS).astimezone():%Y-%m-%d %H:%M:%S %Z}"),
                 ("wall time", f"{run.wall_time:.1f} s"),
                 ("versions", ", ".join(f"{name} {text}" for name, text in run.versions.items()) or "unknown"),
             ],
@@ -134,12 +135,9 @@ def _facts(run: RecordedRun) -> list[tuple[str, list[tuple[str, str]]]]:
 
 def _option_rows(run: RecordedRun) -> list[tuple[str, str, str]]:
     """Return name, value with unit and meaning of every constant of the protocol that was in force."""
-    known = options_of(EvaluationOptions)
     rows = []
-    for name, value in run.options.items():
-        option = known.get(name)
-        if option is None:
-            continue
+    for name, option in options_of(EvaluationOptions).items():
+        value = getattr(run.options, name)
         text = ("yes" if value else "no") if isinstance(value, bool) else f"{value:g} {shown_unit(option.unit)}"
         rows.append((name, text.strip(), option.meaning))
     return rows

@@ -105,13 +105,17 @@ class Connection:
             EvaluatorGoneError: If the evaluator ends before it answers.
             TimeoutError: If the time is up.
         """
+        deadline = time.monotonic() + (math.inf if timeout is None else timeout)
         with self._changed:
             service = self._services.get(name)
             if service is None:
                 service = self._services[name] = self._node.create_client(kind, f"{self.evaluator}/{name}")
-        while not service.wait_for_service(LOOK_INTERVAL):  # discovered a moment after the action
-            if self._is_lost:
+        while not service.wait_for_service(max(0.0, min(LOOK_INTERVAL, deadline - time.monotonic()))):
+            # It is discovered a moment after the action.
+            if self._is_lost or not self._is_there():
                 raise EvaluatorGoneError(f"{service.srv_name}: the evaluator has ended")
+            if time.monotonic() >= deadline:
+                raise TimeoutError(f"{service.srv_name}: the service is not there after {timeout:g} s")
         future = service.call_async(request)
         try:
             return self.wait(future, service.srv_name, timeout)

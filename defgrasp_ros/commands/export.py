@@ -8,11 +8,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from defgrasp_ros.commands.log_argument import LogArgument
 from defgrasp_ros.errors import InvalidOptionsError
-
-LogArgument = Annotated[
-    Path, typer.Argument(metavar="LOG", help="Log of a run: its .mcap file, or the bag folder that holds it")
-]
 
 
 def export(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from datetime import datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -14,12 +13,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from defgrasp_ros.commands.log_argument import LogArgument
+
 if TYPE_CHECKING:
     from defgrasp_ros.recording.log_summary import LogSummary
-
-LogArgument = Annotated[
-    Path, typer.Argument(metavar="LOG", help="Bag folder of a run, or the .mcap file in it", show_default=False)
-]
 
 LONG_FACTS = ("parameters", "gripper", "options")
 """Facts of a run that are documents of their own; --json has them."""
@@ -53,7 +50,9 @@ def _fact_table(summary: LogSummary) -> Table:
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     state = "complete" if summary.complete else "ends early: its writer died or the disk was full"
-    start = datetime.fromtimestamp(1e-9 * summary.start_time).astimezone() if summary.start_time else None
+    from defgrasp_ros.recording.topic import NANOSECONDS
+
+    start = datetime.fromtimestamp(summary.start_time / NANOSECONDS).astimezone() if summary.start_time else None
     waited = summary.statistics.get("waiting_time")
     facts = {
         "file": str(summary.path),

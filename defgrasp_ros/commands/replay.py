@@ -10,12 +10,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn
 
-from defgrasp_ros.commands.info import LogArgument
 from defgrasp_ros.commands.key_press import on_key
+from defgrasp_ros.commands.log_argument import LogArgument
 from defgrasp_ros.errors import InvalidOptionsError
 
 NODE_NAME = "defgrasp_replay"
-SECOND = 1e-9
 
 
 def replay(
@@ -47,6 +46,7 @@ def replay(
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
+    from defgrasp_ros.recording.topic import NANOSECONDS
     from defgrasp_ros.ros.playback_timer import PlaybackTimer
     from defgrasp_ros.ros.player import Player, log_time_at
 
@@ -54,7 +54,7 @@ def replay(
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(NODE_NAME, start_parameter_services=False, enable_rosout=False)
     try:
-        player = Player(node, log, topics.split(",") if topics else (), with_clock=clock)
+        player = Player(node, log, [name.strip() for name in topics.split(",")] if topics else (), with_clock=clock)
         for reason in player.left_out:
             console.print(f"[yellow]left out[/] {escape(reason)}", highlight=False, soft_wrap=True)
         summary = player.summary
@@ -66,7 +66,7 @@ def replay(
             player.wait_for_subscribers(wait)
 
             def show(position: int) -> None:
-                passed = (position - summary.start_time) * SECOND
+                passed = (position - summary.start_time) / NANOSECONDS
                 text = "paused" if timer.paused else "playing"
                 bar.update(task, completed=passed, description=text, time=f"{passed:.2f} of {summary.duration:.2f} s")
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from defgrasp_ros.commands.export import LogArgument
+from defgrasp_ros.commands.log_argument import LogArgument
 
 
 def report(

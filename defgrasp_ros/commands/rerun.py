@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from defgrasp_ros.commands.info import LogArgument
+from defgrasp_ros.commands.log_argument import LogArgument
 from defgrasp_ros.commands.progress import ProgressBar
 
 if TYPE_CHECKING:

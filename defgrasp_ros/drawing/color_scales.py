@@ -1,4 +1,4 @@
-"""The colours of stress, deformation and acceleration in all pictures."""
+"""The colours of pictures, pages and markers: scales of stress, deformation and acceleration, and of single things."""
 
 from __future__ import annotations
 
@@ -21,6 +21,11 @@ PEAK_PERCENTILE = 99.5
 """Of the nodes; what lies above has the last colour, so that one corner does not take the whole scale."""
 SMALLEST_PEAK = 1e-12
 """So that a scale has an extent where everything is 0."""
+
+AXIS_COLORS = ("#d62728", "#2ca02c", "#1f77b4")
+"""Of x, y and z of the grasp frame."""
+FORCE_COLOR, TEXT_COLOR = "#00838f", "#3c4043"
+FINGER_COLOR, PLATFORM_COLOR = np.array([0.45, 0.55, 0.68]), np.array([0.9, 0.91, 0.93])
 
 
 def stress_scale(fields: Iterable[np.ndarray]) -> ScalarMappable | None:

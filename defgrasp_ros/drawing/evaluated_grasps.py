@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from defgrasp_ros.drawing.color_scales import round_numbers, stress_scale
+from defgrasp_ros.drawing.color_scales import AXIS_COLORS, FORCE_COLOR, TEXT_COLOR, round_numbers, stress_scale
 from defgrasp_ros.drawing.rendering import Camera, compose, downsample
 from defgrasp_ros.drawing.scene import SOFTNESS, STAGES, SUPERSAMPLING, Scene, drawn_stage
 from defgrasp_ros.evaluation import GraspEvaluation
@@ -40,11 +40,10 @@ CAPTION_COLUMNS = [(name, title.replace("max", "peak"), *rest) for name, title, 
 ZOOM_SPREAD = 1.35
 """Panels of a sheet have one scale, but for those that would need so much more room than the others."""
 
-AXIS_COLORS = ("#d62728", "#2ca02c", "#1f77b4")
 AXIS_NAMES = ("x: pad width", "y: closing", "z: approach")
 AXIS_LENGTH, FORCE_LENGTH = 0.25, 0.35
 """Of the axes and of the largest force, in half heights of the picture."""
-FORCE_COLOR, HELD_COLOR, FAILED_COLOR, TEXT_COLOR = "#00838f", "#1b7f3b", "#b3261e", "#3c4043"
+HELD_COLOR, FAILED_COLOR = "#1b7f3b", "#b3261e"
 
 
 def draw_evaluation(

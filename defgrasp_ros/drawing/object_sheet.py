@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from defgrasp_ros.drawing.color_scales import TEXT_COLOR
 from defgrasp_ros.drawing.rendering import Camera, compose, downsample, solid
 from defgrasp_ros.objects.library import LibraryObject
 
@@ -46,11 +47,11 @@ def draw_objects(path: Path | str, objects: Sequence[LibraryObject]) -> None:
         sides = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(vertices, axis=0))
         at = {"transform": axes.transAxes, "ha": "center", "va": "top", "parse_math": False}
         axes.text(0.5, 0.03, entry.name, fontsize=8, weight="bold", **at)
-        axes.text(0.5, -0.07, f"{sides} mm\n{entry.material.name}", fontsize=5.5, color="#3c4043", **at)
+        axes.text(0.5, -0.07, f"{sides} mm\n{entry.material.name}", fontsize=5.5, color=TEXT_COLOR, **at)
     level = 1.0 - 0.26 / height
     figure.text(0.1 / width, level, f"{len(objects)} objects", fontsize=12, weight="bold", va="center")
     for place, (category, color) in enumerate(COLORS.items()):
         left = LEGEND_LEFT + LEGEND_STEP * place
         figure.text(left / width, level, "●", fontsize=13, color=color, va="center")
-        figure.text((left + 0.2) / width, level, category, fontsize=9, color="#3c4043", va="center")
+        figure.text((left + 0.2) / width, level, category, fontsize=9, color=TEXT_COLOR, va="center")
     figure.savefig(path, format="png")

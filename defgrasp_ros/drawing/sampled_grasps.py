@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from defgrasp_ros.drawing.color_scales import TEXT_COLOR
 from defgrasp_ros.drawing.rendering import Camera, compose, downsample, solid
 from defgrasp_ros.drawing.scene import BOX_CORNERS, BOX_TRIANGLES, SOFTNESS, SUPERSAMPLING
 from defgrasp_ros.grasp import Grasp
@@ -27,7 +28,6 @@ FINGERS, HAND_OPACITY = 2, 0.3
 """The first bars of a fork are its fingers; the others, the hand, are translucent, so that they hide less."""
 VIEWS = (("from the front", -50.0, 22.0), ("from the right", 40.0, 22.0), ("from above", -90.0, 89.0))
 """Name, azimuth and elevation of the views [deg]."""
-TEXT_COLOR = "#3c4043"
 PIXELS, DPI = 620, 150
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from defgrasp_ros.drawing.color_scales import FINGER_COLOR, PLATFORM_COLOR
 from defgrasp_ros.drawing.rendering import Camera, Layer, solid, with_outline
 from defgrasp_ros.evaluation import DeformedState, GraspEvaluation
 from defgrasp_ros.grasp import Grasp
@@ -26,9 +27,9 @@ SUPERSAMPLING = 2
 SOFTNESS = 0.012
 """Width of the shading around things in front of others, relative to the height of the picture."""
 
-FINGER_COLOR, FINGER_OUTLINE, FINGER_OPACITY = np.array([0.45, 0.55, 0.68]), np.array([0.15, 0.2, 0.3]), 0.42
+FINGER_OUTLINE, FINGER_OPACITY = np.array([0.15, 0.2, 0.3]), 0.42
 IDLE_COLOR, IDLE_FINGER_OPACITY = np.array([0.82, 0.82, 0.82]), 0.25
-PLATFORM_COLOR, PLATFORM_THICKNESS, PLATFORM_MARGIN = np.array([0.9, 0.91, 0.93]), 0.003, 0.012
+PLATFORM_THICKNESS, PLATFORM_MARGIN = 0.003, 0.012
 FILLET_POINTS = 6
 """Points across a rounded edge."""
 
@@ -45,7 +46,7 @@ class Scene:
 
     Args:
         object_model: The object.
-        gripper: Gives the shape of the fingers; None: they are not drawn.
+        gripper: Gives the shape of the fingers.
         grasp: The pose.
         state: Shape and stress; None: the object is undeformed and the gripper open, both drawn grey.
         has_platform: Whether the object still lies on the platform.
@@ -53,7 +54,7 @@ class Scene:
     """
 
     object_model: ObjectModel
-    gripper: Gripper | None
+    gripper: Gripper
     grasp: Grasp
     state: DeformedState | None
     has_platform: bool = False
@@ -61,7 +62,7 @@ class Scene:
 
     @classmethod
     def of_evaluation(
-        cls, object_model: ObjectModel, gripper: Gripper | None, grasp: Grasp, evaluation: GraspEvaluation
+        cls, object_model: ObjectModel, gripper: Gripper, grasp: Grasp, evaluation: GraspEvaluation
     ) -> Scene:
         """Return the scene after the hold, or at the target force where there is no hold, or before the grasp."""
         stage = drawn_stage(evaluation)
@@ -81,8 +82,6 @@ class Scene:
     @property
     def fingers(self) -> list[np.ndarray]:
         """Vertices of the two fingers [m], each of shape ``(vertex, 3)``."""
-        if self.gripper is None:
-            return []
         opening = self.state.opening if self.state else self.gripper.max_opening
         shape, _ = finger_surface(self.gripper)
         placed = [(shape + [0.0, opening, 0.0]) * [1.0, side, 1.0] for side in (1.0, -1.0)]
@@ -118,7 +117,7 @@ class Scene:
         held = self.state is not None
         colors = IDLE_COLOR if colors is None else colors
         layers = [solid(camera, self.positions, self.object_model.mesh.surface_triangles, colors)]
-        for vertices, flip in zip(self.fingers, (1, -1), strict=False):
+        for vertices, flip in zip(self.fingers, (1, -1), strict=True):
             _, triangles = finger_surface(self.gripper)
             opacity = FINGER_OPACITY if held else IDLE_FINGER_OPACITY
             finger = solid(camera, vertices, triangles[:, ::flip], FINGER_COLOR if held else IDLE_COLOR, opacity)

@@ -22,8 +22,9 @@ from defgrasp_ros.experiments.discretisation_error import StressRecovery
 from defgrasp_ros.experiments.interruption import Failure, Interruption
 from defgrasp_ros.experiments.metrics import von_mises_stress
 from defgrasp_ros.experiments.settling import SettledObject
-from defgrasp_ros.experiments.state_sampler import ROUNDING, StateSampler
+from defgrasp_ros.experiments.state_sampler import StateSampler
 from defgrasp_ros.grasp import Grasp
+from defgrasp_ros.periodic import Periodic
 from defgrasp_ros.simulation.simulator import Simulator
 from defgrasp_ros.simulation.stepper import StepReport
 
@@ -80,7 +81,7 @@ class GraspBatch:
         """What is being done."""
         self._started = time.monotonic()
         self._sampler = StateSampler(self.simulator, self.settled, self.observer)
-        self._next_record = start_time
+        self._record_due = Periodic(EvaluationObserver.sample_interval)
         default_force = self.model.default_target_force(self.options.force_safety_factor)
         self.candidates = []
         for index, grasp in grasps.items():
@@ -163,9 +164,9 @@ class GraspBatch:
 
     def _record(self, worlds: np.ndarray, closing_force: np.ndarray) -> None:
         """Add the present state to the pickups' courses, once per interval, whatever the observer wants."""
-        if not len(worlds) or self.time < self._next_record - ROUNDING:
+        if not len(worlds) or not self._record_due.is_due(self.time):
             return
-        self._next_record = self.time + EvaluationObserver.sample_interval
+        self._record_due.done(self.time)
         candidates, positions = self.of(worlds), self.simulator.positions(worlds)
         stress, _ = self.simulator.point_stresses(worlds)
         largest_stress = von_mises_stress(stress).max(axis=(1, 2))

@@ -11,6 +11,7 @@ from defgrasp_ros.evaluation import NAN, EvaluationObserver, Experiment, GraspSa
 from defgrasp_ros.experiments.candidate import Candidate
 from defgrasp_ros.experiments.metrics import deformation
 from defgrasp_ros.experiments.settling import SettledObject, deformed_state
+from defgrasp_ros.periodic import Periodic
 from defgrasp_ros.simulation.kernels_faces import PLATFORM
 from defgrasp_ros.simulation.simulator import Simulator
 
@@ -21,8 +22,6 @@ PHASES = {
     Experiment.SQUEEZE: Phase.SQUEEZE_FREE,
 }
 """Of the experiments that consist of one phase."""
-ROUNDING = 1e-9
-"""By which a sum of time steps may fall short of the time of a sample [s]."""
 
 
 class StateSampler:
@@ -38,7 +37,7 @@ class StateSampler:
         self._simulator = simulator
         self._settled = settled
         self._observer = observer
-        self._next_time = 0.0
+        self._due = Periodic(observer.sample_interval)
 
     def sample(
         self,
@@ -64,9 +63,9 @@ class StateSampler:
         if directions is not None:
             direction = self._observer.sample_direction
             followed = np.flatnonzero(directions == direction)
-        if not len(followed) or time < self._next_time - ROUNDING or not self._observer.wants_samples():
+        if not len(followed) or not self._due.is_due(time) or not self._observer.wants_samples():
             return
-        self._next_time = time + self._observer.sample_interval
+        self._due.done(time)
         chosen = [candidates[row] for row in followed]
         self._observer.on_samples(
             self.read(time, experiment, worlds[followed], chosen, closing_force[followed], direction)

@@ -9,8 +9,7 @@ from typing import Any
 
 from defgrasp_ros.errors import ResultCode
 from defgrasp_ros.recording.log_reader import LoggedTopic, LogReader
-
-NANOSECONDS = 1e-9
+from defgrasp_ros.recording.topic import NANOSECONDS
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class LogSummary:
     @property
     def duration(self) -> float:
         """From the first to the last message [s]."""
-        return (self.end_time - self.start_time) * NANOSECONDS
+        return (self.end_time - self.start_time) / NANOSECONDS
 
     def document(self) -> dict[str, Any]:
         """Return everything as plain JSON types."""

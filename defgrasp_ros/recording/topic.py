@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from defgrasp_ros.recording.definitions import type_name_of
 
+NANOSECONDS = 1_000_000_000
+"""In a second."""
+
 UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
 """The duration that ROS takes for "no limit" (2^63 - 1 ns)."""
 
@@ -54,5 +57,5 @@ class Topic:
 
     @property
     def _lease_words(self) -> dict[str, int]:
-        seconds, nanoseconds = divmod(round(self.lease * 1e9), 1_000_000_000)
+        seconds, nanoseconds = divmod(round(self.lease * NANOSECONDS), NANOSECONDS)
         return {"sec": seconds, "nsec": nanoseconds} if self.lease else dict(UNLIMITED)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import shutil
 import sys
 from collections.abc import Callable
@@ -38,7 +39,7 @@ class Diagnostics:
         outputs: Knows about the log of the present run.
         device_problem: Tells why the device cannot be used; empty where it can, None before the configuration.
         queued_count: Tells how many requests wait.
-        last_failure: Tells when and why a run failed; empty where none did.
+        last_failure: Tells when and why the last run failed; empty where it did not.
     """
 
     def __init__(
@@ -114,12 +115,14 @@ class Diagnostics:
 
     def _last_run(self) -> tuple[bytes, str, dict]:
         failure = self._last_failure()
-        return (WARN, failure, {}) if failure else (OK, "no run has failed", {})
+        return (WARN, failure, {}) if failure else (OK, "has not failed", {})
 
 
 def _space(folder: Path, *, needed: bool) -> tuple[bytes, str, dict]:
     """Return how much room there is where a folder is, or will be made."""
-    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    there = next(path for path in (folder, *folder.absolute().parents) if os.path.exists(path))
+    if not (os.path.isdir(there) and os.access(there, os.W_OK | os.X_OK)):
+        return (ERROR if needed else OK), f"{there} is no folder that can be written", {"folder": folder}
     try:
         free = shutil.disk_usage(there).free
     except OSError as error:

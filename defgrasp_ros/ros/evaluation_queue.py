@@ -94,13 +94,16 @@ class EvaluationQueue:
     def end_all(self, code: ResultCode, reason: str) -> bool:
         """End every job; return whether one was running, which ends soon."""
         was_running = self.end_running(code, reason)
-        for job in list(self._waiting):
+        with self._changed:
+            waiting = list(self._waiting)
+        for job in waiting:
             self.end(job, code, reason)
         return was_running
 
     def pause(self) -> None:
         """Let no further job begin."""
-        self._paused = True
+        with self._changed:
+            self._paused = True
 
     def resume(self) -> None:
         """Let jobs begin."""

@@ -190,7 +190,7 @@ def full_answer(
     evaluations = dict(known or {})
     for index, grasp in enumerate(request.grasps):
         if index not in evaluations:
-            rest = GraspEvaluation(index, grasp.id or str(index), code=code, message=reason)
+            rest = GraspEvaluation(index, grasp.id, code=code, message=reason)
             evaluations[index] = evaluation_to_message(rest, Time())
     in_order = [evaluations[index] for index in sorted(evaluations)]
     codes = Counter(ResultCode(evaluation.result.code) for evaluation in in_order)

@@ -40,7 +40,7 @@ class Evaluator:
         self.is_active = False
         """Whether requests are taken, which the status says when there is none."""
         self.last_failure = ""
-        """When and why the last run failed, or its log; empty: none did."""
+        """When and why the last run failed, or its log; empty where neither did, or there was no run."""
 
     def answer(self, job: EvaluationJob) -> EvaluateGrasp.Response:
         """Evaluate the grasps of a job."""
@@ -68,8 +68,9 @@ class Evaluator:
         code = ResultCode(result.code)
         log = f", log {response.log_uri}" if response.log_uri else ""
         self._node.get_logger().info(f"run {run.id}: {code.name} after {duration:.1f} s: {result.message}{log}")
-        if code not in NO_FAILURE or run.recording_problem:
-            self.last_failure = f"{datetime.now():%Y-%m-%d %H:%M:%S} run {run.id}: {code.name}: {result.message}"
+        has_failed = code not in NO_FAILURE or run.recording_problem
+        when = f"{datetime.now():%Y-%m-%d %H:%M:%S}"
+        self.last_failure = f"{when} run {run.id}: {code.name}: {result.message}" if has_failed else ""
 
 
 def give_up(job: EvaluationJob) -> EvaluateGrasp.Response:

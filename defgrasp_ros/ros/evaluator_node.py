@@ -64,7 +64,7 @@ class EvaluatorNode(ManagedNode):
         EvaluationService(self, self._queue, self._require_room, self.open_answers)
         EvaluationAction(self, self._queue, self._status, self._require_room, self.open_answers)
         EvaluatorInfo(self, self._status, self._registry, lambda: self._devices)
-        ObjectServices(self, self._registry)
+        self._object_services = ObjectServices(self, self._registry)
         Diagnostics(
             self,
             self._outputs,
@@ -80,6 +80,7 @@ class EvaluatorNode(ManagedNode):
     def stop(self) -> None:
         """End every request, and take no more; the callers get what is finished, the rest CANCELED."""
         self._takes_requests = False
+        self._object_services.stop()
         self._queue.close()
 
     def configure(self) -> None:

@@ -10,8 +10,9 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Vector3
 
+from defgrasp_ros.recording.topic import NANOSECONDS
+
 Record = TypeVar("Record")
-NANOSECONDS = 1_000_000_000
 
 
 def fill(message: Any, record: Any) -> Any:

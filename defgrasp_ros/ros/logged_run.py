@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import yaml
 
 from defgrasp_ros.comparison import GraspRecord
-from defgrasp_ros.errors import RecordingError, ResultCode
-from defgrasp_ros.evaluation import EvaluationOptions, GraspEvaluation, GraspFeatures, GraspMetrics
-from defgrasp_ros.gripper import Gripper, gripper_from_values
-from defgrasp_ros.mesh.mesh_files import parse_mesh
+from defgrasp_ros.errors import RecordingError
+from defgrasp_ros.evaluation import EvaluationOptions, GraspEvaluation
+from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.mesh.tet_mesh import TetMesh
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.recording import LoggedRun, read_log
+from defgrasp_ros.recording import LoggedRun, RunInputs, read_log, run_inputs
 from defgrasp_ros.recording.attachments import MESH_FILE
 from defgrasp_ros.ros.evaluation_run import CheckedGrasps, check_grasps
-from defgrasp_ros.ros.fields import extract
 from defgrasp_ros.ros.request_conversion import material_from_message
+from defgrasp_ros.ros.result_conversion import evaluation_from_message
 from defgrasp_ros.ros.topics import EVALUATIONS, REQUEST, relative_name
 
 
@@ -46,13 +46,15 @@ def read_run(log: Path) -> RepeatableRun:
     """
     run = read_log(log, relative_name(REQUEST), relative_name(EVALUATIONS))
     requests = run.on(relative_name(REQUEST))
-    if len(requests) != 1 or MESH_FILE not in run.attachments or "options" not in run.provenance:
-        raise RecordingError(f"{run.path} has no request with mesh and gripper, so the run cannot be repeated")
+    if len(requests) != 1:
+        raise RecordingError(f"{run.path} has {len(requests)} requests, so the run cannot be repeated")
+    inputs = run_inputs(run)
+    if inputs.mesh is None:
+        raise RecordingError(f"{run.path} has no {MESH_FILE}, so the run cannot be repeated")
     try:
-        return _repeatable(run, requests[0])
-    except (AttributeError, KeyError, TypeError) as error:
-        version = run.provenance.get("version.defgrasp_ros", "unknown")
-        raise RecordingError(f"{run.path} was made by another version ({version}): {error}") from error
+        return _repeatable(run, requests[0], inputs.mesh, inputs)
+    except AttributeError as error:
+        raise RecordingError(f"{run.path} was made with other message definitions than those here: {error}") from error
 
 
 def record_of(evaluation: GraspEvaluation) -> GraspRecord:
@@ -60,25 +62,15 @@ def record_of(evaluation: GraspEvaluation) -> GraspRecord:
     return GraspRecord(evaluation.grasp_id, evaluation.code, evaluation.metrics, evaluation.features)
 
 
-def _repeatable(run: LoggedRun, request: object) -> RepeatableRun:
+def _repeatable(run: LoggedRun, request: Any, mesh: TetMesh, inputs: RunInputs) -> RepeatableRun:
     parameters = yaml.safe_load(run.provenance["parameters"])
-    order = int(run.provenance["element_order"])
-    mesh = TetMesh(*parse_mesh(run.attachments[MESH_FILE].data, Path(MESH_FILE).suffix), element_order=order)
-    recorded = {
-        message.grasp_index: GraspRecord(
-            message.grasp_id,
-            ResultCode(message.result.code),
-            extract(GraspMetrics, message.metrics),
-            extract(GraspFeatures, message.features),
-        )
-        for message in run.on(relative_name(EVALUATIONS))
-    }
+    evaluations = map(evaluation_from_message, run.on(relative_name(EVALUATIONS)))
     return RepeatableRun(
         object_model=ObjectModel(request.object.name, mesh, material_from_message(request.object.material)),
         grasps=check_grasps(request.grasps, parameters["max_grasps"]),
-        gripper=gripper_from_values(yaml.safe_load(run.provenance["gripper"])),
-        options=EvaluationOptions(**yaml.safe_load(run.provenance["options"])),
+        gripper=inputs.gripper,
+        options=inputs.options,
         device=run.provenance["device"],
         provenance=run.provenance,
-        recorded=recorded,
+        recorded={each.grasp_index: record_of(each) for each in evaluations},
     )

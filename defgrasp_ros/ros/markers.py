@@ -11,21 +11,21 @@ from geometry_msgs.msg import Point, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from defgrasp_ros.drawing.color_scales import (
+    AXIS_COLORS,
+    FINGER_COLOR,
+    FORCE_COLOR,
+    PLATFORM_COLOR,
+    TEXT_COLOR,
+    stress_scale,
+)
 from defgrasp_ros.evaluation import GraspSample, NodalFields
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.gripper_urdf import WORLD_LINK
 from defgrasp_ros.mesh.tet_mesh import TetMesh
 from defgrasp_ros.ros.fields import point_message, vector_message
 
-STRESS_COLORS = np.array(
-    [[0.23, 0.30, 0.75], [0.55, 0.75, 0.95], [0.95, 0.90, 0.60], [0.93, 0.50, 0.25], [0.70, 0.02, 0.15]]
-)
-"""From no stress to the largest of the surface, evenly spaced: red, green and blue in [0, 1]."""
-PAD_COLOR = (0.45, 0.55, 0.68, 0.5)
-PLATFORM_COLOR = (0.85, 0.86, 0.88, 0.6)
-FORCE_COLOR = (0.0, 0.51, 0.56, 1.0)
-TEXT_COLOR = (0.1, 0.1, 0.1, 1.0)
-AXIS_COLORS = ((0.84, 0.15, 0.16, 1.0), (0.17, 0.63, 0.17, 1.0), (0.12, 0.47, 0.71, 1.0))
+PAD_OPACITY, PLATFORM_OPACITY = 0.5, 0.6
 
 FORCE_LENGTH, POINT_FORCE_LENGTH, AXIS_LENGTH = 0.5, 0.25, 0.3
 """Length of the larger finger force, of the largest contact force, and of the axes, relative to the object [-]."""
@@ -34,7 +34,7 @@ LINE_WIDTH, TEXT_HEIGHT, PLATFORM_THICKNESS, PLATFORM_MARGIN = 0.006, 0.06, 0.02
 
 
 @dataclass(frozen=True)
-class Scene:
+class GraspMarkers:
     """What the pictures of a run have in common.
 
     Args:
@@ -45,7 +45,7 @@ class Scene:
     mesh: TetMesh
     gripper: Gripper
 
-    def picture(self, sample: GraspSample, fields: NodalFields, stamp: Time) -> MarkerArray:
+    def draw(self, sample: GraspSample, fields: NodalFields, stamp: Time) -> MarkerArray:
         """Return everything that there is to draw, in ``world``; it replaces what was drawn before."""
         markers = [
             Marker(action=Marker.DELETEALL),
@@ -65,7 +65,7 @@ class Scene:
         nodes, corners = self.mesh.surface_nodes, self.mesh.surface_triangles.ravel()
         points = _points(fields.positions[nodes])
         stress = fields.von_mises_stress[nodes]
-        colors = [ColorRGBA(r=r, g=g, b=b, a=1.0) for r, g, b in stress_colors(stress, stress.max()).tolist()]
+        colors = [ColorRGBA(r=r, g=g, b=b, a=a) for r, g, b, a in stress_scale([stress]).to_rgba(stress).tolist()]
         places = np.searchsorted(nodes, corners).tolist()
         return Marker(
             ns="object",
@@ -88,7 +88,7 @@ class Scene:
                 id=number,
                 type=Marker.CUBE,
                 scale=_size(2.0 * gripper.finger_half_width, gripper.finger_thickness, height),
-                color=_color(PAD_COLOR),
+                color=_color(FINGER_COLOR, PAD_OPACITY),
             )
             marker.pose.position = point_message(grasp.position + grasp.rotation @ place)
             x, y, z, w = map(float, grasp.orientation)
@@ -135,7 +135,8 @@ class Scene:
         size = self.mesh.size
         low, high = positions.min(axis=0), positions.max(axis=0)
         thickness, (x, y, _) = PLATFORM_THICKNESS * size, high - low + 2.0 * PLATFORM_MARGIN * size
-        marker = Marker(ns="platform", type=Marker.CUBE, scale=_size(x, y, thickness), color=_color(PLATFORM_COLOR))
+        color = _color(PLATFORM_COLOR, PLATFORM_OPACITY)
+        marker = Marker(ns="platform", type=Marker.CUBE, scale=_size(x, y, thickness), color=color)
         centre = 0.5 * (low + high)
         marker.pose.position = point_message([centre[0], centre[1], sample.platform_height - 0.5 * thickness])
         return [marker]
@@ -162,13 +163,6 @@ class Scene:
         return Marker(ns=namespace, type=Marker.LINE_LIST, scale=_size(width, 0.0, 0.0), points=_points(ends))
 
 
-def stress_colors(stress: np.ndarray, largest: float) -> np.ndarray:
-    """Return red, green and blue in [0, 1] of stresses [Pa] from 0 to ``largest``, shape ``(n, 3)``."""
-    share = stress / largest if largest > 0.0 else np.zeros_like(stress)
-    stops = np.linspace(0.0, 1.0, len(STRESS_COLORS))
-    return np.stack([np.interp(share, stops, channel) for channel in STRESS_COLORS.T], axis=1)
-
-
 def _points(positions: Iterable[np.ndarray]) -> list[Point]:
     return [Point(x=x, y=y, z=z) for x, y, z in np.asarray(positions, dtype=float).tolist()]
 
@@ -177,6 +171,9 @@ def _size(x: float, y: float, z: float) -> Vector3:
     return vector_message((x, y, z))
 
 
-def _color(values: Iterable[float]) -> ColorRGBA:
-    r, g, b, a = values
+def _color(color: str | np.ndarray, opacity: float = 1.0) -> ColorRGBA:
+    """Return a colour of pictures as a message."""
+    from matplotlib.colors import to_rgba
+
+    r, g, b, a = map(float, to_rgba(color, opacity))
     return ColorRGBA(r=r, g=g, b=b, a=a)

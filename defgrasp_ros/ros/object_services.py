@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable
+from threading import Event
 from typing import TypeVar
 
 from defgrasp_interfaces import msg, srv
@@ -13,6 +14,7 @@ from rclpy.node import Node
 
 from defgrasp_ros.errors import DefgraspError, ResultCode
 from defgrasp_ros.gripper import load_gripper
+from defgrasp_ros.mesh.limited_process import interruptible
 from defgrasp_ros.mesh.report import mesh_report
 from defgrasp_ros.object_model import ObjectModel
 from defgrasp_ros.objects import object_library
@@ -41,6 +43,7 @@ class ObjectServices:
     def __init__(self, node: Node, registry: ObjectRegistry) -> None:
         self._node = node
         self._registry = registry
+        self._stopped = Event()
         group = MutuallyExclusiveCallbackGroup()
         for kind, name, answer in (
             (srv.RegisterObject, "~/register_object", self._register),
@@ -50,12 +53,17 @@ class ObjectServices:
         ):
             node.create_service(kind, name, self._guarded(answer), callback_group=group)
 
+    def stop(self) -> None:
+        """End the mesh work that is under way, and let none begin; the callers get CANCELED."""
+        self._stopped.set()
+
     def _guarded(self, answer: Callable) -> Callable:
         """Return the answer with every failure as a result with its code."""
 
         def answered(request: object, response: Response) -> Response:
             try:
-                answer(request, response)
+                with interruptible(self._stopped.is_set):
+                    answer(request, response)
             except DefgraspError as error:
                 response.result = msg.Result(code=error.code, message=str(error))
             except Exception as error:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from threading import Condition
 
-from defgrasp_ros.ros.fields import NANOSECONDS
+from defgrasp_ros.recording.topic import NANOSECONDS
 
 TICK = 0.025
 """Wall time between two calls of the observer while the replay waits [s]."""

@@ -17,8 +17,8 @@ from defgrasp_ros.errors import InvalidOptionsError, RecordingError
 from defgrasp_ros.recording.definitions import message_definition
 from defgrasp_ros.recording.log_reader import LoggedTopic, LogReader, RawMessage
 from defgrasp_ros.recording.log_summary import LogSummary, summarize_log
-from defgrasp_ros.recording.topic import UNLIMITED, Topic
-from defgrasp_ros.ros.fields import NANOSECONDS, time_message
+from defgrasp_ros.recording.topic import NANOSECONDS, UNLIMITED, Topic
+from defgrasp_ros.ros.fields import time_message
 from defgrasp_ros.ros.playback_timer import PlaybackTimer
 from defgrasp_ros.ros.topics import qos_profile
 

@@ -13,7 +13,8 @@ from defgrasp_ros.evaluation import EvaluationObserver, GraspEvaluation, GraspSa
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.mesh.tet_mesh import TetMesh
-from defgrasp_ros.ros.fields import NANOSECONDS, time_message
+from defgrasp_ros.recording.topic import NANOSECONDS
+from defgrasp_ros.ros.fields import time_message
 from defgrasp_ros.ros.joint_states import sample_to_joint_state
 from defgrasp_ros.ros.outputs import Outputs
 from defgrasp_ros.ros.result_conversion import evaluation_to_message

@@ -8,9 +8,10 @@ from functools import cache
 from defgrasp_ros.evaluation import GraspSample
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.mesh.tet_mesh import TetMesh
+from defgrasp_ros.periodic import Periodic
 from defgrasp_ros.ros.fields import time_message
 from defgrasp_ros.ros.joint_states import sample_to_joint_state
-from defgrasp_ros.ros.markers import Scene
+from defgrasp_ros.ros.markers import GraspMarkers
 from defgrasp_ros.ros.outputs import Outputs
 from defgrasp_ros.ros.point_cloud import fields_to_point_cloud
 from defgrasp_ros.ros.topics import JOINT_STATES, MARKERS, OBJECT_POINTS, WRENCHES
@@ -30,11 +31,10 @@ class ShownGrasp:
     def __init__(self, outputs: Outputs, mesh: TetMesh, gripper: Gripper, parameters: Mapping) -> None:
         self._outputs = outputs
         self._gripper = gripper
-        self._scene = Scene(mesh, gripper)
+        self._markers = GraspMarkers(mesh, gripper)
         self._asked = parameters["publish.grasp"]
-        self._point_interval = 1.0 / parameters["publish.field_rate"]
-        self._marker_interval = 1.0 / parameters["publish.marker_rate"]
-        self._next_points = self._next_markers = 0.0
+        self._points_due = Periodic(1.0 / parameters["publish.field_rate"])
+        self._markers_due = Periodic(1.0 / parameters["publish.marker_rate"])
         self._index: int | None = None
         self._moment: tuple = (None, None, None)
 
@@ -72,9 +72,9 @@ class ShownGrasp:
             for topic, wrench in zip(WRENCHES, sample_to_wrenches(sample, stamp), strict=True):
                 outputs.send(topic, wrench, time)
         read_fields = cache(sample.read_fields)
-        if outputs.wanted(OBJECT_POINTS) and sample.time >= self._next_points:
-            self._next_points = sample.time + self._point_interval
+        if outputs.wanted(OBJECT_POINTS) and self._points_due.is_due(sample.time):
+            self._points_due.done(sample.time)
             outputs.send(OBJECT_POINTS, fields_to_point_cloud(read_fields(), stamp), time)
-        if outputs.wanted(MARKERS) and (is_new or sample.time >= self._next_markers):
-            self._next_markers = sample.time + self._marker_interval
-            outputs.send(MARKERS, self._scene.picture(sample, read_fields(), stamp), time)
+        if outputs.wanted(MARKERS) and (is_new or self._markers_due.is_due(sample.time)):
+            self._markers_due.done(sample.time)
+            outputs.send(MARKERS, self._markers.draw(sample, read_fields(), stamp), time)

@@ -6,12 +6,15 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
-from threading import RLock
+from copy import copy
+from threading import Lock
 from typing import Protocol
 
 from defgrasp_interfaces.msg import EvaluatorStatus, GraspEvaluation
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
+from rclpy.time import Time
+from std_msgs.msg import Header
 
 from defgrasp_ros.evaluation import Progress
 from defgrasp_ros.ros.outputs import Outputs
@@ -40,6 +43,8 @@ class StatusFollower(Protocol):
 class StatusReporter:
     """Publishes the status on every change of state or phase, while a phase goes on, and once a second.
 
+    Publishing can take long where the log's disk is slow; whoever asks for the status meanwhile does not wait for it.
+
     Args:
         node: For its clock, and a timer.
         outputs: Takes the messages.
@@ -50,7 +55,10 @@ class StatusReporter:
         self._clock = node.get_clock()
         self._outputs = outputs
         self._queued_count = queued_count
-        self._lock = RLock()
+        self._reporting = Lock()
+        """One report after the other, to followers and topic alike."""
+        self._lock = Lock()
+        """Of what follows; never held while something is sent."""
         self._status = EvaluatorStatus(state=EvaluatorStatus.STATE_INACTIVE)
         self._followers: list[StatusFollower] = []
         self._speed = RealTimeFactor()
@@ -63,15 +71,13 @@ class StatusReporter:
             self._followers.append(follower)
 
     def unfollow(self, follower: StatusFollower) -> None:
-        """Let somebody know no longer."""
+        """Let somebody know no longer, but for what is being reported at this moment."""
         with self._lock:
             self._followers.remove(follower)
 
     def current(self) -> EvaluatorStatus:
-        """Return the present status, up to date."""
-        with self._lock:
-            self._update()
-            return self._status
+        """Return the status at this moment, as a message of its own."""
+        return self._at(self._clock.now())
 
     def idle(self, device: str) -> None:
         """Nothing is asked for."""
@@ -105,44 +111,51 @@ class StatusReporter:
             status.active_grasps = int(progress.active_grasps)
             self._speed.advance(status.simulated_time, status.active_grasps)
             has_changed = before != (status.state, status.phase, status.active_grasps)
-            if has_changed or time.monotonic() - self._last_report >= PROGRESS_INTERVAL:
-                self.report()
+        if has_changed or time.monotonic() - self._last_report >= PROGRESS_INTERVAL:
+            self.report()
 
     def finished(self, evaluation: GraspEvaluation) -> None:
         """A grasp of the running request has its evaluation."""
         with self._lock:
             self._status.finished_grasps += 1
-            self._update()
-            for follower in self._followers:
-                follower.on_evaluation(self._status, evaluation)
+        with self._reporting:
+            status = self.current()
+            for follower in self._present_followers():
+                follower.on_evaluation(status, evaluation)
 
     def finishing(self) -> None:
         """The simulation is over; log and answer are being written."""
         with self._lock:
             self._status.state = EvaluatorStatus.STATE_FINISHING
-            self.report()
+        self.report()
 
     def report(self) -> None:
         """Publish the present status."""
-        with self._lock:
-            self._update()
+        with self._reporting:
             now = self._clock.now()
-            self._status.header.stamp = now.to_msg()
-            self._outputs.send(STATUS, self._status, now.nanoseconds)
+            status = self._at(now)
+            self._outputs.send(STATUS, status, now.nanoseconds)
             self._last_report = time.monotonic()
-            for follower in self._followers:
-                follower.on_status(self._status)
+            for follower in self._present_followers():
+                follower.on_status(status)
 
     def _become(self, status: EvaluatorStatus) -> None:
         with self._lock:
             self._status = status
             self._speed = RealTimeFactor()
-            self.report()
+        self.report()
 
-    def _update(self) -> None:
-        self._status.queued_goals = self._queued_count()
-        running = self._status.state == EvaluatorStatus.STATE_RUNNING
-        self._status.real_time_factor = self._speed.value if running else math.nan
+    def _present_followers(self) -> list[StatusFollower]:
+        with self._lock:
+            return list(self._followers)
+
+    def _at(self, now: Time) -> EvaluatorStatus:
+        with self._lock:
+            status, speed = copy(self._status), self._speed.value
+        status.header = Header(stamp=now.to_msg())
+        status.queued_goals = self._queued_count()
+        status.real_time_factor = speed if status.state == EvaluatorStatus.STATE_RUNNING else math.nan
+        return status
 
 
 class RealTimeFactor:

@@ -73,9 +73,7 @@ MARKERS = Topic(
 CLOCK = Topic(
     "/clock", Clock, 1, reliable=False, description="Time of the simulation, with parameter `publish.clock` only"
 )
-REQUEST = Topic(
-    "~/request", EvaluationRequest, 1, latched=True, description="The request of a run; only in its log"
-)
+REQUEST = Topic("~/request", EvaluationRequest, 1, latched=True, description="The request of a run; only in its log")
 
 SAMPLED = (JOINT_STATES, ALL_JOINT_STATES, CONTACTS, *WRENCHES, OBJECT_POINTS, MARKERS)
 """What the state of running grasps is read for."""
@@ -85,6 +83,7 @@ LOGGED = (*PUBLISHED, REQUEST)
 
 EVERY_FEEDBACK = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 """Of the feedback of the action: many grasps may end at the same instant."""
+
 
 def qos_profile(topic: Topic) -> QoSProfile:
     """Return the quality of service with which a topic is published."""
