@@ -10,16 +10,14 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import random
-import signal
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
+from pathlib import Path
 from threading import Event, Thread
 
 import numpy as np
+from own_evaluator import START_TIMEOUT, own_evaluator
 
 from defgrasp_ros.client import GraspEvaluatorClient
 from defgrasp_ros.evaluation import EvaluationOptions
@@ -27,8 +25,6 @@ from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.shapes import box
 
-HIGHEST_DOMAIN_ID = 101
-START_TIMEOUT = 120.0
 WARM_UP = 20
 """Goals after which the memory should no longer grow."""
 ASK_INTERVAL = 0.05
@@ -54,32 +50,26 @@ def ask_until(ended: Event, latencies: list[float]) -> None:
             latencies.append(time.perf_counter() - start)
 
 
-def measure(count: int, divisions: int, latency: bool, directory: str) -> dict:
+def measure(count: int, divisions: int, latency: bool, directory: Path) -> dict:
     """Run the goals and return the figures."""
-    command = [sys.executable, "-m", "defgrasp_ros.ros.evaluator_node"]
-    parameters = ["--ros-args", "-p", f"record.directory:={directory}", "--log-level", "warn"]
     block = box((0.03, 0.04, 0.03), (divisions, divisions + 1, divisions))
     grasps = [Grasp(np.zeros(3), FROM_ABOVE, id="centre")]
     memory, durations, latencies, ended = [], [], [], Event()
-    with subprocess.Popen([*command, *parameters]) as evaluator:
-        try:
-            with GraspEvaluatorClient() as client:
-                client.wait_until_ready(START_TIMEOUT)
-                asking = Thread(target=ask_until, args=(ended, latencies))
-                if latency:
-                    asking.start()
-                for index in range(count):
-                    start = time.perf_counter()
-                    client.evaluate_grasps(block, Material(youngs_modulus=1e5), grasps, options=QUICK)
-                    durations.append(time.perf_counter() - start)
-                    memory.append(resident_memory(evaluator.pid))
-                    if index % 10 == 0 or index == count - 1:
-                        print(f"goal {index:4d}: {1e-6 * memory[-1]:8.2f} MB, {durations[-1]:.2f} s", flush=True)
-                ended.set()
-                if latency:
-                    asking.join()
-        finally:
-            evaluator.send_signal(signal.SIGINT)
+    with own_evaluator(directory) as evaluator, GraspEvaluatorClient() as client:
+        client.wait_until_ready(START_TIMEOUT)
+        asking = Thread(target=ask_until, args=(ended, latencies))
+        if latency:
+            asking.start()
+        for index in range(count):
+            start = time.perf_counter()
+            client.evaluate_grasps(block, Material(youngs_modulus=1e5), grasps, options=QUICK)
+            durations.append(time.perf_counter() - start)
+            memory.append(resident_memory(evaluator.pid))
+            if index % 10 == 0 or index == count - 1:
+                print(f"goal {index:4d}: {1e-6 * memory[-1]:8.2f} MB, {durations[-1]:.2f} s", flush=True)
+        ended.set()
+        if latency:
+            asking.join()
     warm = memory[min(WARM_UP, count // 2)]
     figures = {
         "goals": count,
@@ -102,10 +92,8 @@ def main() -> None:
     parser.add_argument("--divisions", type=int, default=2, help="elements along an edge of the block")
     parser.add_argument("--latency", action="store_true", help="ask for the description meanwhile")
     arguments = parser.parse_args()
-    os.environ["ROS_DOMAIN_ID"] = str(random.randint(1, HIGHEST_DOMAIN_ID))
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     with tempfile.TemporaryDirectory(prefix="defgrasp_goals_") as directory:
-        print(json.dumps(measure(arguments.count, arguments.divisions, arguments.latency, directory)))
+        print(json.dumps(measure(arguments.count, arguments.divisions, arguments.latency, Path(directory))))
 
 
 if __name__ == "__main__":

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import random
-import signal
 import subprocess
 import sys
 import tempfile
@@ -22,6 +20,7 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
+from own_evaluator import START_TIMEOUT, own_evaluator
 
 from defgrasp_ros.client import GraspEvaluatorClient
 from defgrasp_ros.evaluation import EvaluationOptions
@@ -36,7 +35,6 @@ MATERIAL = Material(youngs_modulus=2e5)
 FROM_ABOVE = np.array([1.0, 0.0, 0.0, 0.0])
 TARGET = 0.10
 """Largest overhead [-]."""
-START_TIMEOUT = 60.0
 
 LISTENER = """
 import sys
@@ -69,14 +67,12 @@ def main() -> int:
     parser.add_argument("--repetitions", type=int, default=5)
     parser.add_argument("--hold-time", type=float, default=1.0, help="[s]")
     arguments = parser.parse_args()
-    os.environ["ROS_DOMAIN_ID"] = str(random.randint(1, 100))
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     offsets = np.linspace(-0.01, 0.01, arguments.grasps)
     grasps = [Grasp(np.array([offset, 0.0, 0.0]), FROM_ABOVE, id=f"{1e3 * offset:.1f} mm") for offset in offsets]
     options = EvaluationOptions(pickup_hold_time=arguments.hold_time)
     without: list[Cost] = []
     recorded: list[Cost] = []
-    with tempfile.TemporaryDirectory() as folder, evaluator(Path(folder)) as node, GraspEvaluatorClient() as client:
+    with tempfile.TemporaryDirectory() as folder, own_evaluator(Path(folder)) as node, GraspEvaluatorClient() as client:
         client.wait_until_ready(START_TIMEOUT)
         run(client, node, grasps, options, record=False)  # compiles
         for number in range(arguments.repetitions):
@@ -122,18 +118,6 @@ def processor_time(process: int) -> float:
     """Return the time that all threads of a process have used so far [s]."""
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-@contextmanager
-def evaluator(folder: Path) -> Iterator[subprocess.Popen]:
-    """Run the evaluator until the end of the block, with its logs in ``folder``."""
-    command = [sys.executable, "-m", "defgrasp_ros.ros.evaluator_node"]
-    parameters = ["--ros-args", "-p", f"record.directory:={folder}", "--log-level", "warn"]
-    with subprocess.Popen([*command, *parameters]) as process:
-        try:
-            yield process
-        finally:
-            process.send_signal(signal.SIGINT)
 
 
 @contextmanager

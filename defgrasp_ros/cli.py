@@ -198,7 +198,7 @@ def _chosen(grasps: list, indices: str | None) -> tuple[list[int], list]:
 def _write(
     output: Path, result: dict, model: ObjectModel, hand, grasps: list, evaluations: list, console: Console
 ) -> None:
-    from defgrasp_ros.picture import draw_evaluations
+    from defgrasp_ros.drawing.evaluated_grasps import draw_evaluations
 
     output.mkdir(parents=True, exist_ok=True)
     (output / "evaluations.json").write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")

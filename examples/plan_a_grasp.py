@@ -120,7 +120,7 @@ def plan(model: ObjectModel, grasps: Sequence[Grasp], picture: Path | None, cons
     for evaluation in failed:
         console.print(f"{evaluation.grasp_id}: {evaluation.message}", markup=False, highlight=False)
     if picture:
-        from defgrasp_ros.picture import draw_evaluations
+        from defgrasp_ros.drawing.evaluated_grasps import draw_evaluations
 
         picture.parent.mkdir(parents=True, exist_ok=True)
         draw_evaluations(picture, model, load_gripper(), grasps, answer.evaluations)

@@ -70,6 +70,7 @@ def held() -> ev.GraspEvaluation:
     reasons[3] = "no solution"
     turned = 1e-3 * (1.0 + np.arange(64.0).reshape(16, 4) / 64.0)
     squeezed = np.array([1.0, 2.0, np.nan])
+    time = np.array([0.0, 0.02, 0.04])
     return ev.GraspEvaluation(
         0,
         GRASPS[0].id,
@@ -81,6 +82,10 @@ def held() -> ev.GraspEvaluation:
         contacts=fingers(),
         slip_distance=1e-4,
         holding_time=4.0,
+        pickup=ev.PickupCourse(
+            time, np.array([3, 4, 5]), 0.019 + time, time, time + 1.0, time + 2.0,
+            np.array([np.nan, 0.0, 1e-4]), 1e3 * time,
+        ),
         fields={"pre_contact": stretched(1.0), "at_target_force": stretched(1.05), "post_pickup": stretched(1.1)},
         linear_acceleration=ev.AccelerationResult(
             directions, linear, linear - 5.0, np.arange(16) < 2, [""] * 16

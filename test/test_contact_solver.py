@@ -7,6 +7,7 @@ import warp as wp
 from defgrasp_ros.simulation import kernels_coulomb as coulomb
 from defgrasp_ros.simulation.contact_solver import ContactSolver
 from defgrasp_ros.simulation.kernels_block_matrix import factorise, solve_factorised
+from defgrasp_ros.simulation.kernels_interior_point import InteriorPointBuffers, interior_point
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
 FRICTION = 0.5
@@ -40,23 +41,33 @@ def residual(matrix: np.ndarray, offset: np.ndarray, force: np.ndarray, friction
     return np.linalg.norm(force - project_on_cone(force - motion / scale_of(matrix), friction), axis=1).max(initial=0.0)
 
 
-def solve_with_attempts(
-    matrix: np.ndarray, offset: np.ndarray, friction: float = FRICTION, start: np.ndarray | None = None
-) -> tuple[np.ndarray, int]:
-    """Forces of one problem, shape ``(contact, 3)``, and the number of methods it took; from no force by default."""
-    count = len(offset) // 3
-    problems = coulomb.ContactProblems()
+def problem_of(matrix: np.ndarray, offset: np.ndarray, friction: float = FRICTION) -> coulomb.ContactProblems:
+    """One problem as the kernels take it."""
+    count, problems = len(offset) // 3, coulomb.ContactProblems()
     problems.worlds = wp.array([0], dtype=int, device="cpu")
     problems.count = wp.array([count], dtype=int, device="cpu")
     problems.matrix = wp.array(blocks(matrix)[None], dtype=mat33d, device="cpu")
     problems.offset = wp.array(offset.reshape(1, -1, 3), dtype=vec3d, device="cpu")
     problems.friction = friction
     problems.rho = wp.array([scale_of(matrix) if count else 1.0], dtype=wp.float64, device="cpu")
+    return problems
+
+
+def solve_with_attempts(
+    matrix: np.ndarray,
+    offset: np.ndarray,
+    friction: float = FRICTION,
+    start: np.ndarray | None = None,
+    solver: ContactSolver | None = None,
+) -> tuple[np.ndarray, int]:
+    """Forces of one problem, shape ``(contact, 3)``, and the number of methods it took; from no force by default."""
+    count = len(offset) // 3
     first = np.zeros((1, count, 3)) if start is None else start.reshape(1, count, 3)
-    solver = ContactSolver(1, count, wp.get_device("cpu"))
+    solver = solver or ContactSolver(1, count, wp.get_device("cpu"))
     tolerance = wp.array([TOLERANCE], dtype=wp.float64, device="cpu")
-    solver.solve(problems, wp.array(first, dtype=vec3d, device="cpu"), tolerance)
-    return solver.force.numpy()[0], int(solver.attempts.numpy()[0])
+    problem = problem_of(matrix, offset, friction)
+    solver.solve(problem, wp.array(first, dtype=vec3d, device="cpu"), tolerance)
+    return solver.force.numpy()[0].copy(), int(solver.attempts.numpy()[0])
 
 
 def solve(matrix: np.ndarray, offset: np.ndarray) -> np.ndarray:
@@ -171,6 +182,48 @@ def test_without_friction():
     assert np.abs(force[:, 1:]).max() == 0.0
     gap = (matrix @ force.ravel() + offset)[::3]
     assert (gap > -1e-8).all() and (force[:, 0] >= 0.0).all() and np.abs(gap * force[:, 0]).max() < 1e-8
+
+
+def test_without_friction_nor_slip():
+    """mu = 0 and motions along the normal alone, where cone and disk shrink to a line and a point: solved at once."""
+    for gap, expected in ((0.3, 0.0), (-0.3, 0.3)):
+        force, attempts = solve_with_attempts(np.eye(3), np.array([gap, 0.0, 0.0]), friction=0.0)
+        np.testing.assert_allclose(force, [[expected, 0.0, 0.0]], atol=1e-12)
+        assert attempts == 1
+
+
+def test_broken_problem_leaves_the_first_guess():
+    """Where numbers are not finite, as in a diverging world, no forces of another problem are left over."""
+    solver, start = ContactSolver(1, 1, wp.get_device("cpu")), np.array([[1.0, 0.1, 0.0]])
+    solve_with_attempts(np.eye(3), np.array([-2.0, 0.0, 0.0]), start=start, solver=solver)
+    force, attempts = solve_with_attempts(np.eye(3), np.full(3, np.nan), start=start, solver=solver)
+    assert attempts == 4
+    np.testing.assert_array_equal(force, start)
+
+
+@wp.kernel
+def _interior_point(
+    problems: coulomb.ContactProblems,
+    buffers: InteriorPointBuffers,
+    level: wp.float64,
+    tolerance: wp.float64,
+    residual_out: wp.array[wp.float64],
+):
+    """The method alone."""
+    residual_out[0] = interior_point(problems, buffers, 0, level, tolerance)
+
+
+@pytest.mark.parametrize("level", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_interior_points_alone(seed, level):
+    """Without a guess, whatever the level it starts from, it comes near the solution that Newton's method finds."""
+    matrix, offset = random_problem(seed)
+    solver, out = ContactSolver(1, len(offset) // 3, wp.get_device("cpu")), wp.zeros(1, dtype=wp.float64, device="cpu")
+    inputs = [problem_of(matrix, offset), solver._interior, level, TOLERANCE]
+    wp.launch(_interior_point, dim=1, inputs=inputs, outputs=[out], device="cpu")
+    best = solver._interior.best.numpy()[0]
+    assert out.numpy()[0] == pytest.approx(residual(matrix, offset, best), rel=1e-3, abs=1e-12)
+    np.testing.assert_allclose(best, solve(matrix, offset), atol=1e-6)
 
 
 def test_no_solution_is_the_best_found():

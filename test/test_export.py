@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -111,6 +112,16 @@ def test_root_has_the_datasets_of_the_original(file):
     assert file["ang_acc_fail_accs"].attrs["unit"] == "rad/s^2"
 
 
+def test_a_grasp_that_held_before_the_end_of_the_run_is_a_success(log, tmp_path):
+    """A run that is stopped in a later experiment has a code that says so; that the grasp held is still known."""
+    run = load_run(log)
+    for recorded in run.grasps:
+        recorded.evaluation.code = ResultCode.CANCELED
+    write_hdf5(tmp_path / "run.h5", run)
+    with h5py.File(tmp_path / "run.h5") as file:
+        np.testing.assert_array_equal(file["pickup_success"][:], [1.0, np.nan, np.nan])
+
+
 def test_values_are_those_of_the_log(file):
     """What was measured is there, also in DefGraspSim's axes; what was not is nan, never 0."""
     np.testing.assert_array_equal(file["pickup_success"][:], [1.0, 0.0, 0.0])
@@ -154,14 +165,15 @@ def test_own_group_has_names_units_and_reasons(file):
     assert own["angular_acceleration/reasons"].asstr()[0, 3] == "no solution"
     np.testing.assert_allclose(own["mesh/vertices"][:], BLOCK.vertices)
     assert own["samples/0/opening"].attrs["unit"] == "m" and "slip" not in own["samples/0"]
+    np.testing.assert_allclose(own["pickup/0/platform_force"], [2.0, 2.02, 2.04])
     assert own.attrs["provenance.version.defgrasp_ros"] == "1.2.3"
 
 
 def test_tables(log, tmp_path):
     """One row per grasp, per direction and per sample; units in the heads; empty where nothing was measured."""
     paths = write_tables(tmp_path / "tables", load_run(log))
-    assert [path.name for path in paths] == ["grasps.csv", "directions.csv", "time_series.csv"]
-    grasps, directions, samples = (list(csv.DictReader(path.open(encoding="utf-8"))) for path in paths)
+    assert [path.name for path in paths] == ["grasps.csv", "directions.csv", "time_series.csv", "pickup.csv"]
+    grasps, directions, samples, pickup = (list(csv.DictReader(path.open(encoding="utf-8"))) for path in paths)
     assert [row["grasp_id"] for row in grasps] == [grasp.id for grasp in GRASPS]
     assert float(grasps[0]["max_von_mises_stress [Pa]"]) == 2000.0 and grasps[1]["max_von_mises_stress [Pa]"] == ""
     assert grasps[1]["outcome"] == "DROPPED" and grasps[0]["angular_instability [rad/s^2]"] == ""
@@ -172,6 +184,8 @@ def test_tables(log, tmp_path):
     assert math.isclose(float(directions[15]["reorientation_max_deformation_180deg [m]"]), 1e-3 * (1.0 + 63.0 / 64.0))
     assert [float(row["time [s]"]) for row in samples] == [0.0, 0.02, 0.04, 0.06, 0.08]
     assert {row["left_normal_force [N]"] for row in samples} == {"1.0"}
+    assert [row["right_normal_force [N]"] for row in pickup] == ["1.0", "1.02", "1.04"]
+    assert [row["slip [m]"] for row in pickup] == ["", "0.0", "0.0001"]
 
 
 def test_cut_log_says_which_grasps_are_missing(tmp_path):
@@ -194,6 +208,15 @@ def test_log_without_tetrahedra_is_exported(tmp_path):
         assert np.isfinite(content["positions_under_gravity"][0]).all()
         assert np.isnan(content["reorientation_meshes"][:]).all()
         assert "mesh" not in content["defgrasp_ros"]
+
+
+def test_run_without_grasps_is_exported(log, tmp_path):
+    """A request that asks for nothing has nothing to show, and is no error."""
+    run = replace(load_run(log), grasps=[])
+    write_hdf5(tmp_path / "run.h5", run)
+    with h5py.File(tmp_path / "run.h5") as content:
+        assert content["pickup_success"].shape == (0,)
+    assert write_tables(tmp_path / "tables", run) == []
 
 
 def test_bad_input_is_named(log, tmp_path):

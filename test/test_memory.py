@@ -2,6 +2,7 @@
 
 import gc
 
+import numpy as np
 import pytest
 import warp as wp
 
@@ -19,7 +20,7 @@ from defgrasp_ros.simulation.contact_set import INITIAL_CAPACITY
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.rest_system import RestSystem
 from defgrasp_ros.simulation.shard import Shard
-from defgrasp_ros.simulation.shared_compliance import ComplianceCache
+from defgrasp_ros.simulation.shared_compliance import KEPT, ComplianceCache
 
 
 def block(order: int = 1) -> ObjectModel:
@@ -45,6 +46,22 @@ def test_bytes_per_world(order):
     model = block(order)
     more = (allocated(model, 9) - allocated(model, 1)) / 8
     assert memory.bytes_per_world(model, INITIAL_CAPACITY) == pytest.approx(more, rel=0.1)
+
+
+def test_no_more_inverses_are_kept_than_planned():
+    """Beyond that the one goes that was not needed for longest; made again it is the same."""
+    model = block()
+    rest, lengths = RestSystem(model), [1e-3 * (k + 1) for k in range(KEPT + 1)]
+    compliances = ComplianceCache(rest, wp.get_device("cpu"))
+    first, second = compliances[lengths[0]], compliances[lengths[1]]
+    for length in (*lengths[2:KEPT], lengths[0], lengths[KEPT]):
+        compliances[length]
+    planned = memory.shared_bytes(model)
+    assert sum(each.matrix.capacity for each in compliances._known.values()) == planned
+    assert compliances[lengths[0]] is first
+    again = compliances[lengths[1]]
+    assert again is not second
+    np.testing.assert_array_equal(again.matrix.numpy(), second.matrix.numpy())
 
 
 def test_too_little_memory_is_said(monkeypatch):

@@ -198,10 +198,12 @@ def test_fields_of_the_last_sample_are_those_of_the_metrics():
 
 
 def test_the_course_of_a_pickup(run):
-    """Time rises; both pads carry the target force in the hold, the platform the weight before and nothing then."""
+    """Samples are even; both pads carry the target force in the hold, the platform the weight before, nothing then."""
     model, evaluations, _ = run
     course, target = evaluations[0].pickup, evaluations[0].target_force
     assert (np.diff(course.time) > 0.0).all()
+    loading = course.time[course.phase == Phase.SQUEEZE]
+    np.testing.assert_allclose(np.diff(loading), EvaluationObserver.sample_interval)
     assert list(dict.fromkeys(course.phase)) == [Phase.SQUEEZE, Phase.LOWER_PLATFORM, Phase.HOLD]
     assert (np.diff(course.opening[course.phase == Phase.SQUEEZE]) <= 0.0).all()
     held = course.phase == Phase.HOLD

@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from defgrasp_ros.drawing.evaluated_grasps import draw_evaluation, draw_evaluations
+from defgrasp_ros.drawing.rendering import Camera, compose, solid
+from defgrasp_ros.drawing.scene import Scene, finger_surface
 from defgrasp_ros.errors import ResultCode
 from defgrasp_ros.evaluation import DeformedState, FingerContact, GraspEvaluation, GraspMetrics
 from defgrasp_ros.grasp import Grasp
@@ -11,9 +14,6 @@ from defgrasp_ros.gripper import load_gripper
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.shapes import box
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.picture import draw_evaluation, draw_evaluations
-from defgrasp_ros.rendering import Camera, compose, solid
-from defgrasp_ros.scene import Scene, finger_surface
 
 RED, BLUE = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 FROM_ABOVE = [1.0, 0.0, 0.0, 0.0]

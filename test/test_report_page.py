@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -15,10 +16,11 @@ pytest.importorskip("sensor_msgs.msg")
 from recorded_example import GRASPS, write_log  # noqa: E402
 
 from defgrasp_ros.analysis import load_run  # noqa: E402
-from defgrasp_ros.analysis.report_page import chosen_grasps, color_bar, render, write_report  # noqa: E402
-from defgrasp_ros.color_scales import stress_scale  # noqa: E402
+from defgrasp_ros.analysis.report_page import chosen_grasps, render, write_report  # noqa: E402
+from defgrasp_ros.analysis.report_sections import color_bar  # noqa: E402
+from defgrasp_ros.drawing.color_scales import stress_scale  # noqa: E402
+from defgrasp_ros.drawing.rendering import Camera, compose, compose_transparent, solid  # noqa: E402
 from defgrasp_ros.errors import InvalidOptionsError, RecordingError  # noqa: E402
-from defgrasp_ros.rendering import Camera, compose, compose_transparent, solid  # noqa: E402
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 
@@ -122,6 +124,14 @@ def test_pictures_and_charts_are_there(page, text):
 def test_names_are_escaped(text):
     """What users call things is text, not markup."""
     assert "centre <b>" not in text and "centre &lt;b&gt;" in text and "block &amp; co" in text
+
+
+def test_reason_for_no_picture_keeps_its_units(run):
+    """The sentence begins with a capital letter, and newtons stay N."""
+    before = {"pre_contact": run.grasps[0].evaluation.fields["pre_contact"]}
+    weak = replace(run.grasps[2].evaluation, message="the pads reached 1 N", fields=before)
+    grasp = replace(run.grasps[2], evaluation=weak)
+    assert "The pads reached 1 N." in render(replace(run, grasps=[grasp]), [grasp])
 
 
 def test_choice_of_grasps(run):

@@ -15,7 +15,7 @@ import pytest
 from ros_processes import isolated_ros
 from scipy.spatial.transform import Rotation
 
-from defgrasp_ros.color_scales import stress_scale
+from defgrasp_ros.drawing.color_scales import stress_scale
 from defgrasp_ros.evaluation import Experiment, FingerContact, GraspSample, NodalFields, Phase
 from defgrasp_ros.experiments.directions import DIRECTION_COUNT
 from defgrasp_ros.grasp import Grasp

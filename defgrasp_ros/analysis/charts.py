@@ -63,7 +63,7 @@ def course_chart(series: TimeSeries) -> Markup | None:
 
 
 def direction_chart(result: AccelerationResult, scale: ScalarMappable, unit: str) -> Markup:
-    """Return a bar per direction up to the acceleration at loss, with a mark where all points first slid.
+    """Return a bar per direction up to the acceleration at loss, with a mark where gross slip began.
 
     A bar with an arrow is a lower bound, a cross a direction without a number.
     """

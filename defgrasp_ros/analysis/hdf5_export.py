@@ -24,7 +24,7 @@ from defgrasp_ros.analysis.tables import (
     TURNS,
 )
 from defgrasp_ros.errors import RecordingError, ResultCode
-from defgrasp_ros.evaluation import DeformedState, Experiment, in_order
+from defgrasp_ros.evaluation import DeformedState, Experiment, GraspEvaluation, GraspFeatures, GraspMetrics, in_order
 from defgrasp_ros.ros.result_conversion import NUMBERS
 
 if TYPE_CHECKING:
@@ -36,14 +36,13 @@ PLATFORM_HEIGHT = 1.0
 SQUEEZE_SAMPLES = 50
 """Forces at which DefGraspSim records the squeeze."""
 COMPRESSION = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
-OUTCOMES = {
-    ResultCode.OK: 1.0,
-    ResultCode.DROPPED: 0.0,
-    ResultCode.NO_CONTACT: 0.0,
-    ResultCode.FORCE_NOT_REACHED: 0.0,
-    ResultCode.GRIPPER_COLLISION: 0.0,
+NOT_HELD = {
+    ResultCode.DROPPED,
+    ResultCode.NO_CONTACT,
+    ResultCode.FORCE_NOT_REACHED,
+    ResultCode.GRIPPER_COLLISION,
 }
-"""Codes that tell whether the grasp holds; others mean that it is not known."""
+"""Codes that say that a grasp does not hold."""
 STAGES = {"pre_contact": "pre_contact", "at_target_force": "at_force", "post_pickup": "under_gravity"}
 """Our stages and the names that they have there."""
 NO_SUCH_DATA = "not recorded by this evaluator"
@@ -118,7 +117,7 @@ class _Writer:
         )
 
     def _outcomes(self) -> None:
-        success = [OUTCOMES.get(recorded.evaluation.code, np.nan) for recorded in self.grasps]
+        success = [_success(recorded.evaluation) for recorded in self.grasps]
         self._per_grasp("grasp_index", [recorded.index for recorded in self.grasps], "-", "Row of the request")
         self._per_grasp("pickup_success", success, "-", "1: picked up and held, 0: not")
         timed_out = np.array([recorded.evaluation.code == ResultCode.TIMEOUT for recorded in self.grasps], dtype=float)
@@ -285,8 +284,8 @@ class _Writer:
         _put(group, "grasp_pose", poses, "m, -", "Grasp frame: position x y z, orientation x y z w")
         for message, names, source in (
             ("GraspEvaluation", NUMBERS, lambda evaluation: evaluation),
-            ("GraspMetrics", _names(evaluations, "metrics"), lambda evaluation: evaluation.metrics),
-            ("GraspFeatures", _names(evaluations, "features"), lambda evaluation: evaluation.features),
+            ("GraspMetrics", _names(GraspMetrics), lambda evaluation: evaluation.metrics),
+            ("GraspFeatures", _names(GraspFeatures), lambda evaluation: evaluation.features),
         ):
             notes = field_notes(f"{INTERFACES}/{message}")
             for name in names:
@@ -400,6 +399,13 @@ def _describe(dataset: h5py.Dataset, unit: str, meaning: str) -> None:
     dataset.attrs["unit"], dataset.attrs["meaning"] = unit, meaning
 
 
+def _success(evaluation: GraspEvaluation) -> float:
+    """Return 1 where the object was held, 0 where it was not, nan where that is not known."""
+    if evaluation.metrics.pickup_success:
+        return 1.0  # also if the run was stopped in a later experiment
+    return 0.0 if evaluation.code in NOT_HELD else np.nan
+
+
 def _force_at_the_end(evaluation) -> float:
     if not evaluation.metrics.pickup_success or not evaluation.contacts:
         return np.nan
@@ -412,8 +418,8 @@ def _pose(recorded: RecordedGrasp) -> np.ndarray:
     return np.concatenate([recorded.grasp.position, recorded.grasp.orientation])
 
 
-def _names(evaluations: list, part: str) -> list[str]:
-    return [each.name for each in dataclasses.fields(getattr(evaluations[0], part))]
+def _names(part: type) -> list[str]:
+    return [each.name for each in dataclasses.fields(part)]
 
 
 def _material(run: RecordedRun) -> list[tuple[str, str, float]]:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup, escape
 
-from defgrasp_ros.color_scales import round_numbers
+from defgrasp_ros.drawing.color_scales import round_numbers
+from defgrasp_ros.drawing.rendering import Camera, Layer, compose_transparent, downsample, solid
+from defgrasp_ros.drawing.scene import AZIMUTH, ELEVATION, SOFTNESS, SUPERSAMPLING, Scene
 from defgrasp_ros.evaluation import AccelerationResult, FingerContact
-from defgrasp_ros.rendering import Camera, Layer, compose_transparent, downsample, solid
-from defgrasp_ros.scene import AZIMUTH, ELEVATION, SUPERSAMPLING, Scene
 
 if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
@@ -24,8 +24,6 @@ SHAPE = (440, 560)
 SMALL_SHAPE = (300, 380)
 QUALITY = 88
 """Of the compression, up to 100."""
-SOFTNESS = 0.012
-"""Width of the shading around things in front of others, relative to the height."""
 FORCE_LENGTH = 0.36
 """Of the largest contact force, in half heights of the picture."""
 ARROW_LENGTH, ARROW_GAP, ARROW_RADIUS, LABEL_DISTANCE = 0.62, 0.08, 0.028, 0.13
@@ -119,13 +117,13 @@ def field_picture(
         for place, arrow, hidden in zip(places, arrows, behind, strict=True):
             canvas.arrow(place - arrow, place, "force", 0.45 if hidden else 1.0)
     canvas.scale_bar()
-    return canvas.svg(_image(scene.layers(_fine(camera), colors), camera), label)
+    return canvas.svg(_image(scene.layers(camera.refined(SUPERSAMPLING), colors), camera), label)
 
 
 def turned_picture(scene: Scene, camera: Camera, colors: np.ndarray, label: str) -> Markup:
     """Return a small picture of object and fingers as they are turned, in colours."""
     canvas = Canvas(camera)
-    return canvas.svg(_image(scene.layers(_fine(camera), colors), camera), label)
+    return canvas.svg(_image(scene.layers(camera.refined(SUPERSAMPLING), colors), camera), label)
 
 
 def direction_picture(
@@ -147,7 +145,7 @@ def direction_picture(
     tails, heads = _around(positions, middle, result.directions, ARROW_GAP * size, ARROW_LENGTH * size)
     labels = heads + LABEL_DISTANCE * size * result.directions
     camera = Camera.around(np.concatenate([scene.positions, labels]), AZIMUTH, ELEVATION, SHAPE)
-    fine = _fine(camera)
+    fine = camera.refined(SUPERSAMPLING)
     free = replace(scene, has_platform=False)
     layers = free.layers(fine, np.broadcast_to(BODY_COLOR, positions.shape))
     surfaces, colors = [], []
@@ -180,10 +178,6 @@ def image_uri(image: np.ndarray) -> str:
     buffer = io.BytesIO()
     Image.fromarray(np.round(255.0 * image).astype(np.uint8), "RGBA").save(buffer, "WEBP", quality=QUALITY)
     return "data:image/webp;base64," + base64.b64encode(buffer.getvalue()).decode()
-
-
-def _fine(camera: Camera) -> Camera:
-    return replace(camera, shape=tuple(SUPERSAMPLING * side for side in camera.shape))
 
 
 def _image(layers: list[Layer], camera: Camera) -> np.ndarray:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from defgrasp_ros.errors import DefgraspError, RecordingError, ResultCode
-from defgrasp_ros.evaluation import FINGER_NAMES, EvaluationOptions, GraspEvaluation
+from defgrasp_ros.evaluation import FINGER_NAMES, EvaluationOptions, GraspEvaluation, PickupCourse
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.gripper_urdf import FINGER_JOINTS
@@ -142,9 +142,8 @@ def load_run(path: Path) -> RecordedRun:
         raise RecordingError(f"{log.path} holds no message on ~/request: {cause}")
     request, start = entry.message, entry.publish_time
     inputs = run_inputs(log)
-    messages = {message.grasp_index: message for message in log.on("evaluations")}
     try:
-        evaluations = {index: evaluation_from_message(message) for index, message in messages.items()}
+        evaluations = {each.grasp_index: each for each in map(evaluation_from_message, log.on("evaluations"))}
     except AttributeError as error:
         raise RecordingError(f"{log.path} was made with other message definitions than those here: {error}") from error
     return RecordedRun(
@@ -155,7 +154,7 @@ def load_run(path: Path) -> RecordedRun:
         mesh=inputs.mesh,
         gripper=inputs.gripper,
         options=inputs.options,
-        grasps=_grasps(log, request.grasps, start, messages, evaluations),
+        grasps=_grasps(log, request.grasps, start, evaluations),
         start_time=start,
         wall_time=(log.messages[-1].log_time - log.messages[0].log_time) / NANOSECONDS,
         provenance=log.provenance,
@@ -165,7 +164,7 @@ def load_run(path: Path) -> RecordedRun:
 
 
 def _grasps(
-    log: LoggedRun, requested: list, start: int, messages: dict[int, Any], evaluations: dict[int, GraspEvaluation]
+    log: LoggedRun, requested: list, start: int, evaluations: dict[int, GraspEvaluation]
 ) -> list[RecordedGrasp]:
     from defgrasp_ros.ros.request_conversion import grasp_from_message
 
@@ -182,15 +181,15 @@ def _grasps(
         except DefgraspError:  # its evaluation says what is wrong
             grasp = None
         missing = GraspEvaluation(index, message.id, code=ResultCode.OPERATION_FAILED, message=NOT_FINISHED)
-        courses = getattr(messages.get(index), "pickup", [])
+        evaluation = evaluations.get(index, missing)
         grasps.append(
             RecordedGrasp(
                 index=index,
                 id=message.id or str(index),
                 grasp=grasp,
-                evaluation=evaluations.get(index, missing),
+                evaluation=evaluation,
                 samples=_samples(contacts[index], openings[message.id or str(index)], start),
-                pickup=_pickup(courses[0]) if courses else None,
+                pickup=evaluation.pickup and _pickup(evaluation.pickup),
             )
         )
     return grasps
@@ -214,9 +213,8 @@ def _opening(joints: Any) -> float:
     return positions.get(FINGER_JOINTS[0], np.nan)
 
 
-def _pickup(course: Any) -> TimeSeries:
-    values = {name: np.asarray(getattr(course, name), dtype=float) for name in PICKUP_FIELDS}
-    return TimeSeries(np.asarray(course.time, dtype=float), values)
+def _pickup(course: PickupCourse) -> TimeSeries:
+    return TimeSeries(course.time, {name: getattr(course, name) for name in PICKUP_FIELDS})
 
 
 def _notes(log: LoggedRun, mesh: TetMesh | None, evaluations: Iterable[GraspEvaluation]) -> list[str]:

@@ -22,7 +22,7 @@ def objects(
 
     library = list(object_library().values())
     if picture is not None:
-        from defgrasp_ros.objects.contact_sheet import draw_objects
+        from defgrasp_ros.drawing.object_sheet import draw_objects
 
         draw_objects(picture, library)
         Console(stderr=True).print(f"wrote {picture}", soft_wrap=True)

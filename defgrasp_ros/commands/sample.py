@@ -71,7 +71,7 @@ def sample(
         write_grasps(output, grasps)
         console.print(f"wrote {len(grasps)} grasps to {output}", soft_wrap=True)
     if picture is not None:
-        from defgrasp_ros.grasp_picture import draw_grasps
+        from defgrasp_ros.drawing.sampled_grasps import draw_grasps
 
         draw_grasps(picture, name, vertices, triangles, hand, grasps)
         console.print(f"wrote {picture}", soft_wrap=True)

@@ -253,7 +253,7 @@ class Pickup:
         still = touching and not on_platform and fastest * remaining < REST_DRIFT * self.model.mesh.size
         candidate.time_at_rest = candidate.time_at_rest + h if still else 0.0
         if candidate.time_without_contact >= LOSS_TIME:
-            candidate.evaluation.holding_time = max(0.0, candidate.holding_time - LOSS_TIME)
+            candidate.evaluation.holding_time = max(0.0, candidate.holding_time - candidate.time_without_contact)
             lost_at = candidate.time - candidate.time_without_contact
             candidate.evaluation.loss_of_contact_time = lost_at - candidate.lowering_began
             side = FINGER_NAMES[int(np.argmin(normal[:2]))] if normal[:2].max() > 0.0 else "both fingers"

@@ -14,7 +14,7 @@ class PickupRecorder:
         self._rows: list[tuple[float, ...]] = []
 
     def add(self, sample: GraspSample, time: float, slip: float, max_von_mises_stress: float) -> None:
-        """Add a sample.
+        """Add a sample, unless nothing has happened since the last one: calm worlds take long steps.
 
         Args:
             sample: State of the grasp.
@@ -22,6 +22,8 @@ class PickupRecorder:
             slip: Since the target force was reached [m]; nan before.
             max_von_mises_stress: [Pa].
         """
+        if self._rows and self._rows[-1][0] == time:
+            return
         left, right = (finger.normal_force for finger in sample.contacts)
         row = (time, sample.phase, sample.opening, left, right, sample.platform_force, slip, max_von_mises_stress)
         self._rows.append(row)

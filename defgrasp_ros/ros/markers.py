@@ -11,7 +11,7 @@ from geometry_msgs.msg import Point, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from defgrasp_ros.color_scales import (
+from defgrasp_ros.drawing.color_scales import (
     AXIS_COLORS,
     FINGER_COLOR,
     FORCE_COLOR,

@@ -48,10 +48,16 @@ def solve_contacts(
         return
     trace = wp.float64(0.0)
     level = wp.float64(0.0)
+    gap = wp.float64(0.0)
     for c in range(count):
         trace += wp.trace(problems.matrix[w, c, c])
         level += wp.abs(start[i, c][0])
+        gap = wp.max(gap, wp.length(problems.offset[i, c]))
+        force_out[i, c] = start[i, c]
     level /= wp.float64(count)
+    if level == wp.float64(0.0):
+        # Points that carried nothing so far: what moves a point alone by the largest motion without forces.
+        level = gap * wp.float64(3 * count) / trace
     mean = SCALE * wp.sqrt(problems.rho[w] * trace)
     least = wp.float64(wp.inf)
     for attempt in range(ATTEMPTS):

@@ -16,6 +16,8 @@ from defgrasp_ros.simulation.types import mat33d, vec3d
 wp.set_module_options({"enable_backward": False})
 
 RHO_FRACTION = wp.constant(wp.float64(0.3))
+ROUNDING = wp.constant(wp.float64(2.3e-16))
+"""Of a number in double precision [-]: beside an enormous force, a motion against the law would not show."""
 
 
 @wp.struct
@@ -40,10 +42,10 @@ def tangential_length(v: vec3d) -> wp.float64:
 def project_on_cone(v: vec3d, friction: wp.float64) -> vec3d:
     """Return the point of the Coulomb cone |v_t| <= mu v_n closest to v."""
     t = tangential_length(v)
+    if friction * t <= -v[0]:  # first, since without friction a v straight below the tip passes the next test, too
+        return vec3d()
     if t <= friction * v[0]:
         return v
-    if friction * t <= -v[0]:
-        return vec3d()
     n = (v[0] + friction * t) / (wp.float64(1.0) + friction * friction)
     scale = friction * n / t
     return vec3d(n, scale * v[1], scale * v[2])
@@ -57,8 +59,9 @@ def with_de_saxce(w: vec3d, friction: wp.float64) -> vec3d:
 
 @wp.func
 def natural_map(force: vec3d, w: vec3d, rho: wp.float64, friction: wp.float64) -> wp.float64:
-    """Return how far a contact is from its law [N]."""
-    return wp.length(force - project_on_cone(force - with_de_saxce(w, friction) / rho, friction))
+    """Return how far a contact is from its law [N], not less than rounding lets one know."""
+    distance = wp.length(force - project_on_cone(force - with_de_saxce(w, friction) / rho, friction))
+    return distance + ROUNDING * wp.length(force)
 
 
 @wp.func

@@ -128,7 +128,7 @@ def unscaled(v: vec3d, friction: wp.float64) -> vec3d:
 
 
 @wp.func
-def look_around(problems: ContactProblems, buffers: InteriorPointBuffers, row: int) -> wp.float64:
+def evaluate_iterate(problems: ContactProblems, buffers: InteriorPointBuffers, row: int) -> wp.float64:
     """Take the iterate's forces, motions and what its equation misses; return its residual [N]."""
     w = problems.worlds[row]
     count = problems.count[w]
@@ -192,7 +192,7 @@ def interior_point(
 ) -> wp.float64:
     """Leave the forces with the least residual in ``buffers.best``; return that residual [N].
 
-    ``level`` [N] is the normal force of a contact to start from. The friction coefficient must not be 0.
+    ``level`` [N] is the normal force of a contact to start from. Neither it nor the friction coefficient may be 0.
     """
     w = problems.worlds[row]
     count = problems.count[w]
@@ -204,9 +204,10 @@ def interior_point(
     for c in range(count):
         buffers.x[row, c] = vec3d(level * problems.friction, zero, zero)
         buffers.z[row, c] = vec3d(FIRST_GAP * gap, zero, zero)
+        buffers.best[row, c] = vec3d()
     least = LARGEST
     for _ in range(MAX_ITERATIONS):
-        residual = look_around(problems, buffers, row)
+        residual = evaluate_iterate(problems, buffers, row)
         if residual < least:
             least = residual
             for c in range(count):

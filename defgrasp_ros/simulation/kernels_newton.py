@@ -68,6 +68,8 @@ def alart_curnier_slope(trial: vec3d, friction: wp.float64) -> mat33d:
     zero = wp.float64(0.0)
     radius = friction * trial[0]
     t = tangential_length(trial)
+    if radius == zero:
+        return mat33d(one, zero, zero, zero, zero, zero, zero, zero, zero)
     if t <= radius:
         return mat33d(one, zero, zero, zero, one, zero, zero, zero, one)
     x = trial[1] / t

@@ -10,13 +10,12 @@ from defgrasp_ros.errors import ResourceExhaustedError
 from defgrasp_ros.object_model import ObjectModel
 from defgrasp_ros.simulation.anderson import DEPTH
 from defgrasp_ros.simulation.contact_set import INITIAL_CAPACITY
+from defgrasp_ros.simulation.shared_compliance import KEPT
 
 USED_SHARE = 0.7
 """Part of the free memory that worlds may fill [-]; the rest is for copies, other programs, and lists that grow."""
 EXPECTED_CAPACITY = 4 * INITIAL_CAPACITY
 """Contact points per world for which there must be room."""
-STEP_LENGTHS = 4
-"""Shared inverses kept at a time: of the time step, the long step, and of cut ones."""
 SCALAR, VECTOR, MATRIX = 8, 24, 72
 """Bytes of a number, a vector of 3 and a 3 x 3 matrix in double precision."""
 
@@ -34,7 +33,7 @@ def bytes_per_world(model: ObjectModel, capacity: int = EXPECTED_CAPACITY) -> in
 
 def shared_bytes(model: ObjectModel) -> int:
     """Return the memory of the inverses that all worlds share [byte]."""
-    return STEP_LENGTHS * SCALAR * (3 * len(model.mesh.vertices)) ** 2
+    return KEPT * SCALAR * (3 * len(model.mesh.vertices)) ** 2
 
 
 def worlds_that_fit(model: ObjectModel, device: wp.Device) -> int:

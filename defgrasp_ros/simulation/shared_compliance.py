@@ -17,6 +17,9 @@ A stiff body bears less: a turn that the inverse does not know looks like a stra
 the ratio of the body's rigid to its elastic compliance.
 """
 
+KEPT = 4
+"""Step lengths whose inverses are kept: the time step, the long step, and what cuts make of them."""
+
 
 @dataclass(frozen=True, eq=False)
 class SharedCompliance:
@@ -33,25 +36,30 @@ class SharedCompliance:
 
 
 class ComplianceCache:
-    """Makes the inverse of a step length when it is first needed, and keeps it."""
+    """Makes the inverse of a step length when it is needed, and keeps those that were needed last."""
 
     def __init__(self, rest: RestSystem, device: wp.Device):
         self._rest = rest
         self._device = device
         self._known: dict[float, SharedCompliance] = {}
+        """The one that was needed last stands at the end."""
         self._making = Lock()
 
     def __getitem__(self, step_length: float) -> SharedCompliance:
         with self._making:
-            return self._find(step_length)
+            found = self._known.pop(step_length, None)
+            if found is None:
+                while len(self._known) >= KEPT:
+                    del self._known[next(iter(self._known))]
+                found = self._make(step_length)
+            self._known[step_length] = found
+            return found
 
-    def _find(self, step_length: float) -> SharedCompliance:
-        if step_length not in self._known:
-            host = self._rest.compliance(step_length)
-            self._known[step_length] = SharedCompliance(
-                step_length=step_length,
-                matrix=wp.array(host.matrix, dtype=wp.float64, device=self._device, copy=False),
-                elastic=wp.array(host.elastic, dtype=wp.float64, device=self._device),
-                rotation_tolerance=ROTATION_TOLERANCE / (1.0 + host.rigid / float(np.median(host.elastic))),
-            )
-        return self._known[step_length]
+    def _make(self, step_length: float) -> SharedCompliance:
+        host = self._rest.compliance(step_length)
+        return SharedCompliance(
+            step_length=step_length,
+            matrix=wp.array(host.matrix, dtype=wp.float64, device=self._device, copy=False),
+            elastic=wp.array(host.elastic, dtype=wp.float64, device=self._device),
+            rotation_tolerance=ROTATION_TOLERANCE / (1.0 + host.rigid / float(np.median(host.elastic))),
+        )

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from defgrasp_ros.color_scales import AXIS_COLORS, FORCE_COLOR, TEXT_COLOR, round_numbers, stress_scale
+from defgrasp_ros.drawing.color_scales import AXIS_COLORS, FORCE_COLOR, TEXT_COLOR, round_numbers, stress_scale
+from defgrasp_ros.drawing.rendering import Camera, compose, downsample
+from defgrasp_ros.drawing.scene import SOFTNESS, STAGES, SUPERSAMPLING, Scene, drawn_stage
 from defgrasp_ros.evaluation import GraspEvaluation
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.rendering import Camera, compose, downsample
 from defgrasp_ros.report import FEATURE_COLUMNS, METRIC_COLUMNS
-from defgrasp_ros.scene import STAGES, SUPERSAMPLING, Scene, drawn_stage
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -145,12 +145,9 @@ def _draw_scene(
     detailed: bool,
 ) -> None:
     """Draw into axes whose coordinates become those of the camera [m]."""
-    fine = Camera(
-        camera.centre, camera.rotation, camera.half_height, tuple(SUPERSAMPLING * side for side in camera.shape)
-    )
-    softness = 0.012 * fine.shape[0]
+    fine = camera.refined(SUPERSAMPLING)
     colors = stress.to_rgba(scene.nodal_stress)[:, :3] if scene.state else None
-    image = downsample(compose(scene.layers(fine, colors), np.ones(3), softness), SUPERSAMPLING)
+    image = downsample(compose(scene.layers(fine, colors), np.ones(3), SOFTNESS * fine.shape[0]), SUPERSAMPLING)
     axes.imshow(image, extent=camera.extent, interpolation="antialiased")
     axes.set_axis_off()
     if scene.state:

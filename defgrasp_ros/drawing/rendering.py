@@ -6,7 +6,7 @@ knows how far away it is. Needs no display and no graphics card.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -65,6 +65,10 @@ class Camera:
         """Left, right, bottom and top of the picture in the camera's frame [m]."""
         half_width = self.half_height * self.shape[1] / self.shape[0]
         return -half_width, half_width, -self.half_height, self.half_height
+
+    def refined(self, factor: int) -> Camera:
+        """Return the same view with ``factor`` times as many rows and columns of pixels."""
+        return replace(self, shape=(factor * self.shape[0], factor * self.shape[1]))
 
     def view(self, points: np.ndarray) -> np.ndarray:
         """Return points of the object frame in the camera's frame [m]."""

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from defgrasp_ros.color_scales import FINGER_COLOR, PLATFORM_COLOR
+from defgrasp_ros.drawing.color_scales import FINGER_COLOR, PLATFORM_COLOR
+from defgrasp_ros.drawing.rendering import Camera, Layer, solid, with_outline
 from defgrasp_ros.evaluation import DeformedState, GraspEvaluation
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros.rendering import Camera, Layer, solid, with_outline
 
 STAGES = {"post_pickup": "after the hold", "at_target_force": "at the target force"}
 """Stages that can be drawn, the first one that there is, and what they are called."""
@@ -24,6 +24,8 @@ PLATFORM_STAGE = "at_target_force"
 AZIMUTH, ELEVATION = math.radians(-50.0), math.radians(22.0)
 SUPERSAMPLING = 2
 """Pixels that are rendered for one of the picture, along each side."""
+SOFTNESS = 0.012
+"""Width of the shading around things in front of others, relative to the height of the picture."""
 
 FINGER_OUTLINE, FINGER_OPACITY = np.array([0.15, 0.2, 0.3]), 0.42
 IDLE_COLOR, IDLE_FINGER_OPACITY = np.array([0.82, 0.82, 0.82]), 0.25

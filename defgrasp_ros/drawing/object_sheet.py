@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from defgrasp_ros.color_scales import TEXT_COLOR
+from defgrasp_ros.drawing.color_scales import TEXT_COLOR
+from defgrasp_ros.drawing.rendering import Camera, compose, downsample, solid
 from defgrasp_ros.objects.library import LibraryObject
-from defgrasp_ros.rendering import Camera, compose, downsample, solid
 
 COLORS = {
     "primitive": np.array([0.55, 0.66, 0.78]),

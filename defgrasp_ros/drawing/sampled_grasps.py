@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from defgrasp_ros.color_scales import TEXT_COLOR
+from defgrasp_ros.drawing.color_scales import TEXT_COLOR
+from defgrasp_ros.drawing.rendering import Camera, compose, downsample, solid
+from defgrasp_ros.drawing.scene import BOX_CORNERS, BOX_TRIANGLES, SOFTNESS, SUPERSAMPLING
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
-from defgrasp_ros.rendering import Camera, compose, downsample, solid
-from defgrasp_ros.scene import BOX_CORNERS, BOX_TRIANGLES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,7 +28,7 @@ FINGERS, HAND_OPACITY = 2, 0.3
 """The first bars of a fork are its fingers; the others, the hand, are translucent, so that they hide less."""
 VIEWS = (("from the front", -50.0, 22.0), ("from the right", 40.0, 22.0), ("from above", -90.0, 89.0))
 """Name, azimuth and elevation of the views [deg]."""
-PIXELS, SUPERSAMPLING, DPI = 620, 2, 150
+PIXELS, DPI = 620, 150
 
 
 def draw_grasps(
@@ -66,7 +66,7 @@ def draw_grasps(
             solid(camera, *_bars(forks[:, FINGERS:], shades), opacity=HAND_OPACITY),
         ]
         axes = figure.add_axes((column / len(VIEWS), 0.04, 1.0 / len(VIEWS), 0.87))
-        axes.imshow(downsample(compose(layers, np.ones(3), 0.012 * shape[0]), SUPERSAMPLING), extent=camera.extent)
+        axes.imshow(downsample(compose(layers, np.ones(3), SOFTNESS * shape[0]), SUPERSAMPLING), extent=camera.extent)
         axes.set_axis_off()
         axes.text(0.5, -0.03, name_of_view, transform=axes.transAxes, fontsize=9, color=TEXT_COLOR, ha="center")
     _write_scale(figure, len(grasps))
