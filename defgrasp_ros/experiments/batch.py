@@ -28,10 +28,6 @@ from defgrasp_ros.periodic import Periodic
 from defgrasp_ros.simulation.simulator import Simulator
 from defgrasp_ros.simulation.stepper import StepReport
 
-STILL_CHANGE = 1e-5
-"""Motion in a quasi-static step, relative to the object's size, at which an object is still under its load [-]."""
-REST_CHANGE = 1e-6
-"""The same at which it rests [-]: metrics are measured there."""
 FORCE_TOLERANCE = 1e-4
 """Largest deviation of the pads' normal forces from the target at which it counts as reached [-]."""
 WORK_SHARE = {
@@ -179,11 +175,6 @@ class GraspBatch:
 def no_solution(report: StepReport, row: int, now: float) -> str:
     """Return the text for a world whose step found no solution."""
     return f"no solution of the time step at {now:.3f} s: residual {report.residual[row]:.2g} of the force scale"
-
-
-def largest_motion(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Largest nodal displacement between two shapes [m], shape ``(n,)``, of arrays ``(n, node, 3)``."""
-    return np.linalg.norm(after - before, axis=2).max(axis=1, initial=0.0)
 
 
 def chunks(items: Sequence, size: int) -> list[Sequence]:

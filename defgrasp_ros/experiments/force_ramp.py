@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from defgrasp_ros.errors import ResultCode
-from defgrasp_ros.experiments.batch import FORCE_TOLERANCE, STILL_CHANGE, GraspBatch, largest_motion, no_solution
+from defgrasp_ros.experiments.batch import FORCE_TOLERANCE, GraspBatch, no_solution
 from defgrasp_ros.experiments.candidate import Candidate
 from defgrasp_ros.experiments.interruption import Failure
+from defgrasp_ros.experiments.rest import STILL_CHANGE, largest_motion
 
 RAMP_TIME_LIMIT = 3.0
 """Time after the ramp within which the force must be reached [s]."""

@@ -10,11 +10,12 @@ import numpy as np
 
 from defgrasp_ros.errors import ResultCode
 from defgrasp_ros.evaluation import FINGER_NAMES, Experiment, Phase
-from defgrasp_ros.experiments.batch import FORCE_TOLERANCE, REST_CHANGE, STILL_CHANGE, GraspBatch, largest_motion
+from defgrasp_ros.experiments.batch import FORCE_TOLERANCE, GraspBatch
 from defgrasp_ros.experiments.candidate import Candidate, spoken
 from defgrasp_ros.experiments.collision import colliding_part
 from defgrasp_ros.experiments.features import grasp_features
 from defgrasp_ros.experiments.metrics import centre_of_mass, deformation
+from defgrasp_ros.experiments.rest import STILL_CHANGE, RestWatch, largest_motion
 from defgrasp_ros.experiments.settling import deformed_state
 from defgrasp_ros.simulation.kernels_faces import PALM, PLATFORM
 
@@ -207,15 +208,14 @@ class Pickup:
     def _come_to_rest(self, held: np.ndarray) -> None:
         """Stop the swing of objects that have been held long enough, and measure them in equilibrium."""
         h = LONG_STEP * self.options.time_step
-        positions = self.simulator.positions(held)
+        watch, rows = RestWatch(self.simulator.positions(held), self.model.mesh.size), np.arange(len(held))
         for step in range(REST_STEPS):
             if not len(held) or self.batch.interrupted():
                 break
             self.batch.time += h
             self.batch.step(held, h, self.batch.targets(held), quasi_static=True)
             self.batch.sample(held, self.batch.targets(held))
-            last, positions = positions, self.simulator.positions(held)
-            resting = largest_motion(last, positions) < REST_CHANGE * self.model.mesh.size
+            resting = watch.resting(rows, self.simulator.positions(held))
             normal = self.simulator.normal_forces(held)
             for row, w in enumerate(held):
                 candidate = self.batch.candidates[w]
@@ -230,7 +230,7 @@ class Pickup:
                 elif step == REST_STEPS - 1:
                     self._measure_pickup(int(w), "picked up and held; metrics were measured in motion")
             goes_on = np.array([not self.batch.candidates[w].finished for w in held])
-            held, positions = held[goes_on], positions[goes_on]
+            held, rows = held[goes_on], rows[goes_on]
 
     @staticmethod
     def _follow_slip(candidate: Candidate, normal: np.ndarray, positions: np.ndarray) -> None:

@@ -12,12 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from defgrasp_ros.errors import ResultCode
 from defgrasp_ros.evaluation import Experiment, Phase, ReorientationResult
-from defgrasp_ros.experiments.batch import REST_CHANGE, GraspBatch, chunks, largest_motion, no_solution
+from defgrasp_ros.experiments.batch import GraspBatch, chunks, no_solution
 from defgrasp_ros.experiments.candidate import Candidate
 from defgrasp_ros.experiments.directions import DIRECTION_COUNT, sphere_directions
 from defgrasp_ros.experiments.force_ramp import ramp_closing_force
 from defgrasp_ros.experiments.interruption import Failure
 from defgrasp_ros.experiments.metrics import centre_of_mass, deformation
+from defgrasp_ros.experiments.rest import RestWatch
 from defgrasp_ros.experiments.settling import deformed_state
 from defgrasp_ros.experiments.slip_force import rotational_slip_force
 from defgrasp_ros.object_model import STANDARD_GRAVITY
@@ -174,15 +175,14 @@ class Reorientation:
         """Let objects come to rest; return which did not stay in the hand or found no rest, and why."""
         failures: dict[int, Failure] = {}
         active = np.arange(len(worlds))
-        positions = self.simulator.positions(worlds)
+        watch = RestWatch(self.simulator.positions(worlds), self.size)
         for _ in range(SETTLE_STEPS):
             if not len(active):
                 break
             if interruption := self.batch.interrupted():
                 return failures | {int(i): interruption for i in active}
             some = self._step([candidates[i] for i in active], worlds[active], gravity[active], quasi_static=True)
-            last, positions[active] = positions[active], self.simulator.positions(worlds[active])
-            moves = largest_motion(last, positions[active]) >= REST_CHANGE * self.size
+            moves = ~watch.resting(active, self.simulator.positions(worlds[active]))
             failures |= {int(active[place]): failure for place, failure in some.items()}
             moves[list(some)] = False
             active = active[moves]
