@@ -6,6 +6,7 @@ The attempts, each from the forces of the iteration before:
 2. In rounds with a proximal shift: for points that depend on each other.
 3. The same with the elastic scale.
 4. From the best iterate of an interior point method: for near-rigid bodies that slide.
+5. Ten times as it is, from random normal forces without friction, the same in every run: for what is left.
 """
 
 import warp as wp
@@ -24,7 +25,9 @@ SMALL_SCALE = wp.constant(wp.float64(0.1))
 PROXIMITY = wp.constant(wp.float64(1e-3))
 """Proximal shift relative to the elastic scale [-]."""
 ROUNDS = wp.constant(6)
-ATTEMPTS = wp.constant(4)
+PLAIN, PROXIMAL, ELASTIC, INTERIOR, RANDOM = (wp.constant(number) for number in range(5))
+"""Attempts by number; those from ``RANDOM`` on begin with random forces."""
+ATTEMPTS = wp.constant(RANDOM + 10)
 
 
 @wp.kernel
@@ -65,20 +68,26 @@ def solve_contacts(
         scale = mean
         shift = PROXIMITY * problems.rho[w]
         rounds = ROUNDS
-        if attempt == 0:
+        if attempt == PLAIN or attempt >= RANDOM:
             shift = wp.float64(0.0)
             rounds = 1
-        if attempt == 2:
+        if attempt == ELASTIC:
             scale = problems.rho[w]
         for c in range(count):
             newton_buffers.force[i, c] = start[i, c]
-        if attempt == 3:
+        if attempt == INTERIOR:
             if problems.friction == wp.float64(0.0):
-                return
+                continue
             interior_point(problems, interior_buffers, i, level, tolerance[i])
             scale = SMALL_SCALE * mean
             for c in range(count):
                 newton_buffers.force[i, c] = interior_buffers.best[i, c]
+        if attempt >= RANDOM:
+            # The same in every run, whatever other problems there are.
+            generator = wp.rand_init(attempt)
+            for c in range(count):
+                share = wp.float64(wp.randf(generator))
+                newton_buffers.force[i, c] = vec3d(wp.float64(2.0) * level * share, wp.float64(0.0), wp.float64(0.0))
         residual = newton(problems, newton_buffers, i, scale, shift, rounds, tolerance[i])
         if residual < least:
             least = residual
