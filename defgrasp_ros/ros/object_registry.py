@@ -86,7 +86,9 @@ class ObjectRegistry:
         if mesh is not None:
             return mesh
         if name not in object_library():
-            raise NotFoundError(f"object '{name}' is neither registered ({listed}) nor in the library")
+            raise NotFoundError(
+                f"object '{name}' is neither registered ({listed}) nor in the library ({', '.join(object_library())})"
+            )
         return find_object(name).mesh()
 
     def prepared(self, name: str) -> PreparedMesh:
