@@ -27,7 +27,7 @@ PENETRATION = 5e-5
 """Depth of an unlisted point that makes a step look for contacts again, relative to the object's size [-]."""
 TIE = 1e-5
 """Difference of gaps that does not decide between two points, relative to the object\'s size [-]."""
-CONTACT_FIELDS = ("key", "body", "nodes", "weights", "frame", "plane", "axis", "force")
+CONTACT_FIELDS = ("key", "body", "nodes", "weights", "frame", "plane", "axis", "force", "trend")
 
 
 class ContactSet:
@@ -102,6 +102,7 @@ class ContactSet:
         result.plane = wp.zeros(shape, dtype=wp.float64, device=self._device)
         result.axis = wp.zeros(shape, dtype=vec3d, device=self._device)
         result.force = wp.zeros(shape, dtype=vec3d, device=self._device)
+        result.trend = wp.zeros(shape, dtype=vec3d, device=self._device)
         return result
 
     def remember(self, rows: wp.array) -> None:
@@ -109,9 +110,18 @@ class ContactSet:
         self._launch(contact.copy_contacts, rows.shape[0], [rows, self.lists, self._remembered])
 
     def go_back(self, rows: wp.array) -> None:
-        """Take the lists that were last remembered."""
+        """Take the lists that were last remembered, without their trends: they may have led astray."""
         self._launch(contact.copy_contacts, rows.shape[0], [rows, self._remembered, self.lists])
+        set_entries(self.lists.trend, rows.numpy(), 0.0)
         set_entries(self.stale, rows.numpy(), 1)
+
+    def extrapolate(self, rows: wp.array, step_length: float) -> None:
+        """Let the forces go on as in the step before: a first guess."""
+        self._launch(contact.extrapolate_forces, (rows.shape[0], self.capacity), [rows, step_length, self.lists])
+
+    def find_trends(self, rows: wp.array, step_length: float) -> None:
+        """Note what the step since ``remember`` changed."""
+        self._launch(contact.find_trends, rows.shape[0], [rows, step_length, self._remembered, self.lists])
 
     # --- finding points -----------------------------------------------------------------------------------------
 

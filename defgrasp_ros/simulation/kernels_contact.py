@@ -32,6 +32,7 @@ class ContactList:
     plane: wp.array2d[wp.float64]  # (world, contact): the body's tangent plane, at opening 0, along the normal [m]
     axis: wp.array2d[vec3d]  # (world, contact): normal of the body's face in the contact frame
     force: wp.array2d[vec3d]  # (world, contact): normal and two tangential components [N]
+    trend: wp.array2d[vec3d]  # (world, contact): rate at which the last step changed the force [N/s]
 
 
 @wp.func
@@ -45,6 +46,7 @@ def copy_contact(source: ContactList, source_row: int, k: int, target: ContactLi
     target.plane[target_row, c] = source.plane[source_row, k]
     target.axis[target_row, c] = source.axis[source_row, k]
     target.force[target_row, c] = source.force[source_row, k]
+    target.trend[target_row, c] = source.trend[source_row, k]
 
 
 @wp.kernel
@@ -85,6 +87,33 @@ def copy_contacts(worlds: wp.array[int], source: ContactList, target: ContactLis
     target.count[w] = source.count[w]
     for c in range(source.count[w]):
         copy_contact(source, w, c, target, w, c)
+
+
+@wp.kernel
+def find_trends(worlds: wp.array[int], step_length: wp.float64, former: ContactList, contacts: ContactList):
+    """Note how fast the forces changed since ``former``; those of new points have no trend. Both lists are sorted."""
+    i = wp.tid()
+    w = worlds[i]
+    k = int(0)
+    for c in range(contacts.count[w]):
+        while k < former.count[w] and former.key[w, k] < contacts.key[w, c]:
+            k += 1
+        contacts.trend[w, c] = vec3d()
+        if k < former.count[w] and former.key[w, k] == contacts.key[w, c]:
+            contacts.trend[w, c] = (contacts.force[w, c] - former.force[w, k]) / step_length
+
+
+@wp.kernel
+def extrapolate_forces(worlds: wp.array[int], step_length: wp.float64, contacts: ContactList):
+    """Let the forces follow their trends for a step; points that would pull carry nothing."""
+    i, c = wp.tid()
+    w = worlds[i]
+    if c >= contacts.count[w]:
+        return
+    force = contacts.force[w, c] + step_length * contacts.trend[w, c]
+    if force[0] <= wp.float64(0.0):
+        force = vec3d()
+    contacts.force[w, c] = force
 
 
 @wp.func

@@ -343,6 +343,7 @@ def propose(
         contacts.nodes[row, count] = candidate.nodes
         contacts.weights[row, count] = candidate.weights
         contacts.force[row, count] = vec3d()
+        contacts.trend[row, count] = vec3d()
         gaps[row, count] = gap
         x = interpolate_rest(scene.rest, candidate.nodes, candidate.weights)
         x += interpolate(scene.displacement, world, candidate.nodes, candidate.weights)

@@ -170,13 +170,13 @@ def predict(
     worlds: wp.array[int],  # (row,)
     step_length: wp.float64,  # [s]
     start_displacement: wp.array2d[vec3d],  # (world, node) [m]
-    start_velocity: wp.array2d[vec3d],  # (world, node) [m/s]
+    trend: wp.array2d[vec3d],  # (world, node) [m/s]
     displacement_out: wp.array2d[vec3d],  # (world, node) [m]
 ):
-    """u = u_n + h v_n, the start of the iteration."""
+    """Let the nodes move on as in the step before: the start of the iteration."""
     i, n = wp.tid()
     w = worlds[i]
-    displacement_out[w, n] = start_displacement[w, n] + step_length * start_velocity[w, n]
+    displacement_out[w, n] = start_displacement[w, n] + step_length * trend[w, n]
 
 
 @wp.kernel
@@ -187,9 +187,12 @@ def accept_step(
     displacement: wp.array2d[vec3d],  # (world, node) [m]
     start_displacement: wp.array2d[vec3d],  # (world, node) [m], in and out
     start_velocity: wp.array2d[vec3d],  # (world, node) [m/s], out
+    trend: wp.array2d[vec3d],  # (world, node) [m/s], out
 ):
     """The end of this step becomes the start of the next."""
     i, n = wp.tid()
     w = worlds[i]
-    start_velocity[w, n] = velocity_factor * (displacement[w, n] - start_displacement[w, n]) / step_length
+    rate = (displacement[w, n] - start_displacement[w, n]) / step_length
+    start_velocity[w, n] = velocity_factor * rate
+    trend[w, n] = rate
     start_displacement[w, n] = displacement[w, n]

@@ -137,6 +137,7 @@ def carry_forces(
             k += 1
         if k < former.count[w] and former.key[w, k] == found.key[w, c]:
             found.force[w, c] = former.force[w, k]
+            found.trend[w, c] = former.trend[w, k]
             shift = wp.max(wp.abs(found.weights[w, c] - former.weights[w, k]))
             if shift < KEPT_SHIFT:
                 nodes = former.nodes[w, k]

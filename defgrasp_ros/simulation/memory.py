@@ -25,9 +25,9 @@ def bytes_per_world(model: ObjectModel, capacity: int = EXPECTED_CAPACITY) -> in
     mesh = model.mesh
     nodes = len(mesh.vertices)
     history = 2 * (int(DEPTH) + 1)
-    nodal = nodes * ((10 + history) * VECTOR + 3 * MATRIX)
+    nodal = nodes * ((11 + history) * VECTOR + 3 * MATRIX)
     elements = len(mesh.tetrahedra) * MATRIX + mesh.elements.size * VECTOR
-    contacts = 2 * capacity**2 * MATRIX + capacity * (9 * (4 * VECTOR + MATRIX + 4 * SCALAR) + (20 + history) * VECTOR)
+    contacts = 2 * capacity**2 * MATRIX + capacity * (9 * (5 * VECTOR + MATRIX + 4 * SCALAR) + (20 + history) * VECTOR)
     return nodal + elements + contacts
 
 

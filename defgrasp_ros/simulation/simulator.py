@@ -148,12 +148,14 @@ class Simulator:
             set_entries(shard.state.displacement, entries, displacement[places])
             set_entries(shard.state.start_displacement, entries, displacement[places])
             set_entries(shard.state.start_velocity, entries, 0.0)
+            set_entries(shard.state.trend, entries, 0.0)
 
     def set_velocity(self, worlds: np.ndarray, velocity: np.ndarray) -> None:
         """Give the nodes a velocity [m/s], shape ``(3,)``, ``(node, 3)`` or ``(n, node, 3)``."""
         velocity = np.broadcast_to(velocity, (len(worlds), self._constants.node_count, 3))
         for shard, entries, places in self._parts(worlds):
             set_entries(shard.state.start_velocity, entries, velocity[places])
+            set_entries(shard.state.trend, entries, velocity[places])
 
     def freeze_fingers(self, worlds: np.ndarray) -> None:
         """Hold the fingers where they are, whatever force that takes; ``place_gripper`` frees them."""

@@ -128,8 +128,9 @@ class Stepper:
         contacts.expect_step(worlds, h)
         rows = self._rows(worlds)
         contacts.remember(rows)
+        contacts.extrapolate(rows, h)
         wp.copy(self._start_rotation, state.rotation)
-        inputs = [rows, h, state.start_displacement, state.start_velocity, state.displacement]
+        inputs = [rows, h, state.start_displacement, state.trend, state.displacement]
         self._launch(elastic.predict, (count, self._model.node_count), inputs)
         self._move_fingers(rows, h)
         contacts.find(rows)
@@ -268,9 +269,11 @@ class Stepper:
         if not len(worlds):
             return
         state = self._state
-        inputs = [self._rows(worlds), h, 0.0 if quasi_static else 1.0, state.displacement]
-        nodes = (len(worlds), self._model.node_count)
-        self._launch(elastic.accept_step, nodes, [*inputs, state.start_displacement, state.start_velocity])
+        rows = self._rows(worlds)
+        self._contacts.find_trends(rows, h)
+        inputs = [rows, h, 0.0 if quasi_static else 1.0, state.displacement]
+        motion = [state.start_displacement, state.start_velocity, state.trend]
+        self._launch(elastic.accept_step, (len(worlds), self._model.node_count), [*inputs, *motion])
         set_entries(state.start_opening, worlds, state.bodies.opening.numpy()[worlds])
 
     def _go_back(self, worlds: np.ndarray) -> None:
@@ -279,6 +282,7 @@ class Stepper:
             return
         state = self._state
         self._contacts.go_back(self._rows(worlds))
+        set_entries(state.trend, worlds, 0.0)
         set_entries(state.rotation, worlds, self._start_rotation.numpy()[worlds])
         set_entries(state.bodies.opening, worlds, state.start_opening.numpy()[worlds])
 

@@ -28,6 +28,8 @@ class WorldState:
         """u_n [m]."""
         self.start_velocity = zeros(nodal, vec3d)
         """v_n [m/s]."""
+        self.trend = zeros(nodal, vec3d)
+        """Rate at which the last step moved the nodes [m/s]; unlike the velocity not forgotten when quasi-static."""
         self.rotation = zeros(nodal, mat33d)
         """Nodal rotations that turn the shared inverse."""
         self.rotation.fill_(mat33d(np.eye(3)))
@@ -56,7 +58,7 @@ class WorldState:
     @property
     def motion(self) -> tuple[wp.array, ...]:
         """The arrays that say where a world is at the start of a step."""
-        return self.start_displacement, self.start_velocity, self.start_opening
+        return self.start_displacement, self.start_velocity, self.trend, self.start_opening
 
     def snapshot(self, world: int) -> list[np.ndarray]:
         """Return what is known about a world, on the host."""
@@ -69,7 +71,7 @@ class WorldState:
 
     @property
     def _arrays(self) -> list[wp.array]:
-        nodal = [self.displacement, self.start_displacement, self.start_velocity, self.rotation]
+        nodal = [self.displacement, self.start_displacement, self.start_velocity, self.trend, self.rotation]
         hand = [self.finger_damping, self.closing_force, self.start_opening]
         bodies = [self.bodies.enabled, self.bodies.frame, self.bodies.base, self.bodies.origin, self.bodies.opening]
         spin = [self.spin.centre, self.spin.velocity, self.spin.acceleration]
