@@ -172,6 +172,7 @@ class Stepper:
             report.contact_fallbacks[active] += self._correct(rows, shared, force_scale[active] * reduction)
 
         self._accept(worlds[report.converged], h, quasi_static)
+        self._stand_still(worlds[report.converged & (report.iterations == 0)])
         self._go_back(worlds[~report.converged])
         return report
 
@@ -275,6 +276,11 @@ class Stepper:
         motion = [state.start_displacement, state.start_velocity, state.trend]
         self._launch(elastic.accept_step, (len(worlds), self._model.node_count), [*inputs, *motion])
         set_entries(state.start_opening, worlds, state.bodies.opening.numpy()[worlds])
+
+    def _stand_still(self, worlds: np.ndarray) -> None:
+        """Forget the trends of worlds that needed no iteration: nothing else would end a drift below the tolerance."""
+        set_entries(self._state.trend, worlds, 0.0)
+        set_entries(self._contacts.lists.trend, worlds, 0.0)
 
     def _go_back(self, worlds: np.ndarray) -> None:
         """Leave no trace of a step that failed."""
