@@ -25,6 +25,9 @@ MARGIN = 1e-2
 """Gap below which a point becomes a candidate, relative to the mean surface edge [-]."""
 PENETRATION = 5e-5
 """Depth of an unlisted point that makes a step look for contacts again, relative to the object's size [-]."""
+DEEP = 2e-3
+"""Depth behind a face at which a point cannot be by the front, relative to the object's size [-]: far above what a
+solved step leaves."""
 TIE = 1e-5
 """Difference of gaps that does not decide between two points, relative to the object\'s size [-]."""
 CONTACT_FIELDS = ("key", "body", "nodes", "weights", "frame", "plane", "axis", "force", "trend")
@@ -172,6 +175,7 @@ class ContactSet:
         It is inf where there is none within ``reach`` [m].
         """
         scene = self._scene(self._state.start_displacement, reach)
+        scene.deep = np.inf
         self._screen(scene, rows)
         capacity = 0
         while True:
@@ -190,7 +194,8 @@ class ContactSet:
         scene, model = detection.Scene(), self._model
         scene.surface, scene.faces, scene.bodies = model.surface, model.faces, self._state.bodies
         scene.rest, scene.displacement = model.vertices, displacement
-        scene.margin, scene.tie = margin, TIE * model.size
+        scene.start_displacement = self._state.start_displacement
+        scene.margin, scene.tie, scene.deep = margin, TIE * model.size, DEEP * model.size
         scene.normal, scene.places, scene.listed = self._normal, self._places, self.lists
         return scene
 

@@ -94,11 +94,13 @@ class Scene:
     bodies: Bodies
     rest: wp.array[vec3d]  # (node,) [m]
     displacement: wp.array2d[vec3d]  # (world, node) [m]
+    start_displacement: wp.array2d[vec3d]  # (world, node), at the start of the step [m]
     normal: wp.array2d[vec3d]  # (world, node): outward
     listed: ContactList
     """Points that are known from before, sorted by key."""
     margin: wp.float64  # gap below which a point is a candidate [m]; see DEPTH_IN_EDGE if negative
     tie: wp.float64  # difference of gaps that does not count [m]
+    deep: wp.float64  # depth of a point that must have come through a wall, if the step began there [m]
     places: wp.array2d[int]  # (world, node): bits that tell where a node lies relative to each body
 
 
@@ -295,6 +297,22 @@ def preference(scene: Scene, world: int, key: int, gap: wp.float64) -> wp.float6
 
 
 @wp.func
+def came_through_a_wall(scene: Scene, world: int, body: int, candidate: Candidate) -> bool:
+    """Whether a point was deep behind the face already when the step began: it then is beside the body, or came in
+    from there. The walls of a body are no contact surface, and its face has no business with what passes them."""
+    x = interpolate_rest(scene.rest, candidate.nodes, candidate.weights)
+    x += interpolate(scene.start_displacement, world, candidate.nodes, candidate.weights)
+    place = to_face(scene.bodies, world, body, x)
+    low = outline_low(scene.faces, body)
+    high = outline_high(scene.faces, body)
+    nearest = vec2d(wp.clamp(place[0], low[0], high[0]), wp.clamp(place[1], low[1], high[1]))
+    gap = place[2] + drop(scene.faces, body, nearest)[0]
+    if is_pad(body):
+        gap += scene.bodies.start_opening[world] - scene.bodies.opening[world]
+    return gap < -scene.deep
+
+
+@wp.func
 def propose(
     scene: Scene,
     world: int,
@@ -321,6 +339,8 @@ def propose(
         if edge > wp.float64(0.0):
             margin = wp.max(margin, -DEPTH_IN_EDGE * edge)
     if distance > margin or gap < -scene.faces.depth[body]:
+        return count
+    if gap < -scene.deep and came_through_a_wall(scene, world, body, candidate):
         return count
     if outward_here[0] + h[1] * outward_here[1] + h[2] * outward_here[2] >= wp.float64(0.0):
         return count
