@@ -170,13 +170,13 @@ def predict(
     worlds: wp.array[int],  # (row,)
     step_length: wp.float64,  # [s]
     start_displacement: wp.array2d[vec3d],  # (world, node) [m]
-    trend: wp.array2d[vec3d],  # (world, node) [m/s]
+    velocity: wp.array2d[vec3d],  # (world, node) [m/s]
     displacement_out: wp.array2d[vec3d],  # (world, node) [m]
 ):
-    """Let the nodes move on as in the step before: the start of the iteration."""
+    """u = u_n + h v."""
     i, n = wp.tid()
     w = worlds[i]
-    displacement_out[w, n] = start_displacement[w, n] + step_length * trend[w, n]
+    displacement_out[w, n] = start_displacement[w, n] + step_length * velocity[w, n]
 
 
 @wp.kernel

@@ -16,7 +16,6 @@ import scipy.linalg
 import scipy.sparse
 
 from defgrasp_ros.errors import InvalidMeshError
-from defgrasp_ros.mesh.tet_mesh import TetMesh
 from defgrasp_ros.object_model import ObjectModel
 from defgrasp_ros.simulation.lapack import inverse_of_positive_definite
 from defgrasp_ros.simulation.reference_element import REFERENCE_ELEMENTS
@@ -40,7 +39,6 @@ class RestSystem:
     """Mass and rest stiffness of an object, and their combined inverse for any step length."""
 
     def __init__(self, model: ObjectModel):
-        self.model = model
         self.mass = mass_matrix(model)
         """M [kg], sparse, shape ``(node, node)``; the same along x, y and z."""
         self.stiffness = rest_stiffness(model)
@@ -53,7 +51,11 @@ class RestSystem:
         Raises:
             InvalidMeshError: If the stiffness is not positive semi-definite, as with inverted elements.
         """
-        inverse = self.inverse(self.stiffness, step_length)
+        matrix = self.stiffness.toarray()
+        mass = self.mass.toarray() / step_length**2
+        for axis in range(3):
+            matrix[axis::3, axis::3] += mass
+        inverse = inverse_of_positive_definite(matrix)
         if inverse is None:
             raise InvalidMeshError(
                 "the mesh has no positive definite stiffness: it contains degenerate or inverted tetrahedra"
@@ -61,14 +63,6 @@ class RestSystem:
         rigid_diagonal = step_length**2 * (self._rigid_modes**2).sum(axis=1)
         elastic = (np.diagonal(inverse) - rigid_diagonal).reshape(-1, 3).mean(axis=1)
         return Compliance(step_length, inverse, elastic, step_length**2 / self.mass.sum())
-
-    def inverse(self, stiffness: scipy.sparse.csr_matrix, step_length: float) -> np.ndarray | None:
-        """Return (M / h^2 + K)^-1 [m/N], or None where that is not positive definite."""
-        matrix = stiffness.toarray()
-        mass = self.mass.toarray() / step_length**2
-        for axis in range(3):
-            matrix[axis::3, axis::3] += mass
-        return inverse_of_positive_definite(matrix)
 
 
 def mass_matrix(model: ObjectModel) -> scipy.sparse.csr_matrix:
@@ -98,21 +92,7 @@ def rest_stiffness(model: ObjectModel) -> scipy.sparse.csr_matrix:
         point = lame_lambda * product + lame_mu * product.transpose(0, 1, 4, 3, 2)
         point += lame_mu * np.einsum("taibi,jk->tajbk", product, np.eye(3))
         blocks += point.reshape(blocks.shape)
-    return assemble_stiffness(mesh, blocks)
-
-
-def assemble_stiffness(mesh: TetMesh, blocks: np.ndarray) -> scipy.sparse.csr_matrix:
-    """Sum element matrices up.
-
-    Args:
-        mesh: The object.
-        blocks: Integrand of each element, summed over its points [N/m^4 ...], shape ``(tet, 3 a, 3 a)``.
-
-    Returns:
-        Shape ``(3 node, 3 node)``.
-    """
-    size = blocks.shape[1]
-    blocks = blocks * (mesh.volumes / REFERENCE_ELEMENTS[mesh.element_order].point_count)[:, None, None]
+    blocks *= (mesh.volumes / reference.point_count)[:, None, None]
     index = (3 * mesh.elements[:, :, None] + np.arange(3)).reshape(-1, size)
     rows = np.repeat(index, size, axis=1).ravel()
     columns = np.tile(index, (1, size)).ravel()

@@ -4,7 +4,6 @@ the work."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import warp as wp
@@ -16,9 +15,10 @@ from defgrasp_ros.simulation.shared_compliance import ComplianceCache
 from defgrasp_ros.simulation.stepper import Stepper, StepReport
 from defgrasp_ros.simulation.world_state import WorldState, set_entries
 
-RETRIES = ((4, False), (1, True), (4, True), (16, True))
-"""What replaces a step that did not converge, one after the other: so many smaller ones, and whether with the inverse
-of the world's own deformed body. After the last its world is given up."""
+STEP_CUT = 4
+"""Number of smaller steps that replace one that did not converge."""
+MAX_CUTS = 2
+"""How often a step may be cut before its world is given up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class Shard:
         start_force = state.closing_force.numpy()[worlds].copy()
         start_height = state.platform_heights(worlds)
 
-        def advance(some: np.ndarray, pieces: int, piece: int, own_inverse: bool) -> StepReport:
+        def advance(some: np.ndarray, pieces: int, piece: int) -> StepReport:
             """Take one of several equal pieces of the step."""
             share = piece / pieces
             set_entries(
@@ -73,43 +73,26 @@ class Shard:
             )
             heights = start_height[some] + share * (platform_height - start_height)[some]
             set_entries(state.bodies.base, (worlds[some], faces.PLATFORM), heights)
-            step = self._step_alone if own_inverse else self._step_together
-            return step(worlds[some], step_length / pieces, quasi_static)
+            compliance = self._compliances[step_length / pieces]
+            scale = self.force_scale[worlds[some]]
+            return self._stepper.step(worlds[some], compliance, scale, quasi_static=quasi_static)
 
-        report = advance(np.arange(len(worlds)), 1, 1, own_inverse=False)
-        for pieces, own_inverse in RETRIES:
+        report = advance(np.arange(len(worlds)), 1, 1)
+        for cut in range(1, MAX_CUTS + 1):
             failed = np.flatnonzero(~report.converged)
             if not len(failed):
                 break
-            self._advance_in_pieces(worlds, failed, pieces, partial(advance, own_inverse=own_inverse), report)
+            self._advance_in_pieces(worlds, failed, cut, advance, report)
         bad = ~report.converged
         set_entries(state.closing_force, worlds[bad], start_force[bad])
         set_entries(state.bodies.base, (worlds[bad], faces.PLATFORM), start_height[bad])
         return report
 
-    def _step_together(self, worlds: np.ndarray, h: float, quasi_static: bool) -> StepReport:
-        """Step worlds with the shared inverse."""
-        return self._stepper.step(worlds, self._compliances[h], self.force_scale[worlds], quasi_static=quasi_static)
-
-    def _step_alone(self, worlds: np.ndarray, h: float, quasi_static: bool) -> StepReport:
-        """Step each world with an inverse of its own, which needs no turning."""
-        report = StepReport.empty(len(worlds))
-        for place, world in enumerate(worlds):
-            here = np.array([world])
-            own = self._compliances.of_shape(self.state.start_displacement.numpy()[world], h)
-            set_entries(self.state.rotation, here, np.eye(3))
-            set_entries(self.contacts.stale, here, 1)
-            part = self._stepper.step(here, own, self.force_scale[here], quasi_static=quasi_static)
-            set_entries(self.contacts.stale, here, 1)
-            report.put(np.array([place]), part)
-        return report
-
-    def _advance_in_pieces(
-        self, worlds: np.ndarray, failed: np.ndarray, pieces: int, advance, report: StepReport
-    ) -> None:
+    def _advance_in_pieces(self, worlds: np.ndarray, failed: np.ndarray, cut: int, advance, report: StepReport) -> None:
         """Repeat a step in smaller ones where it failed; a world that fails again goes back to where it began."""
+        pieces = STEP_CUT**cut
         before = [array.numpy()[worlds[failed]].copy() for array in self.state.motion]
-        report.cuts[failed] += 1
+        report.cuts[failed] = cut
         report.residual[failed] = 0.0
         report.converged[failed] = True
         for piece in range(1, pieces + 1):

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from threading import Lock
 
 import numpy as np
 import warp as wp
 
 from defgrasp_ros.simulation.rest_system import RestSystem
-from defgrasp_ros.simulation.tangent import tangent_stiffness
 
 ROTATION_TOLERANCE = 0.03
 """Nodal turn [rad] since the last refresh that a soft body's iteration bears well.
@@ -55,20 +54,6 @@ class ComplianceCache:
                 found = self._make(step_length)
             self._known[step_length] = found
             return found
-
-    def of_shape(self, displacement: np.ndarray, step_length: float) -> SharedCompliance:
-        """Return the inverse of a single body as it is deformed: see :mod:`tangent`.
-
-        Args:
-            displacement: Of its nodes [m], shape ``(node, 3)``.
-            step_length: h [s].
-        """
-        inverse = self._rest.inverse(tangent_stiffness(self._rest.model, displacement), step_length)
-        return replace(
-            self[step_length],
-            matrix=wp.array(inverse, dtype=wp.float64, device=self._device, copy=False),
-            rotation_tolerance=np.inf,
-        )
 
     def _make(self, step_length: float) -> SharedCompliance:
         host = self._rest.compliance(step_length)

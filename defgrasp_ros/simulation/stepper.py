@@ -128,13 +128,11 @@ class Stepper:
         contacts.expect_step(worlds, h)
         rows = self._rows(worlds)
         contacts.remember(rows)
-        contacts.extrapolate(rows, h)
         wp.copy(self._start_rotation, state.rotation)
-        inputs = [rows, h, state.start_displacement, state.trend, state.displacement]
-        self._launch(elastic.predict, (count, self._model.node_count), inputs)
-        self._move_fingers(rows, h)
+        self._predict(rows, state.start_velocity, h)
         contacts.find(rows)
-        self._move_fingers(rows, h)
+        contacts.extrapolate(rows, h)
+        self._predict(rows, state.trend, h)
 
         self._forget(worlds)
         active = np.arange(count)
@@ -175,6 +173,12 @@ class Stepper:
         self._stand_still(worlds[report.converged & (report.iterations == 0)])
         self._go_back(worlds[~report.converged])
         return report
+
+    def _predict(self, rows: wp.array, velocity: wp.array, h: float) -> None:
+        """Put the nodes where a velocity takes them, and the fingers where the contact forces do."""
+        inputs = [rows, h, self._state.start_displacement, velocity, self._state.displacement]
+        self._launch(elastic.predict, (rows.shape[0], self._model.node_count), inputs)
+        self._move_fingers(rows, h)
 
     def _overlooked_contacts(
         self, worlds: np.ndarray, active: np.ndarray, solved: np.ndarray, searches: np.ndarray
