@@ -334,7 +334,17 @@ def test_samples_are_wanted_while_somebody_listens(tmp_path: Path) -> None:
             declare_parameters(node)
             outputs = Outputs(node)
             grasps = {0: sample().grasp}
-            observer = RunObserver(outputs, Mock(), grasps, MESH, HAND, parameter_values(node), 0, Event())
+            observer = RunObserver(
+                outputs,
+                Mock(),
+                grasps,
+                MESH,
+                HAND,
+                parameter_values(node),
+                return_fields=False,
+                start_time=0,
+                stop=Event(),
+            )
             assert not observer.wants_samples()
             outputs.start_log(tmp_path, "run", {})
             assert observer.wants_samples() and not outputs.wanted(CLOCK)

@@ -135,17 +135,17 @@ def load_run(path: Path) -> RecordedRun:
     from defgrasp_ros.ros.request_conversion import material_from_message
     from defgrasp_ros.ros.result_conversion import evaluation_from_message
 
-    log = read_log(path, *TOPICS)
+    try:
+        log = read_log(path, *TOPICS, convert={"evaluations": evaluation_from_message})
+    except AttributeError as error:
+        raise RecordingError(f"{path} was made with other message definitions than those here: {error}") from error
     entry = next((entry for entry in log.messages if entry.topic.endswith("/request")), None)
     if entry is None:
         cause = "it ends before" if not log.complete else "it is no log of an evaluator"
         raise RecordingError(f"{log.path} holds no message on ~/request: {cause}")
     request, start = entry.message, entry.publish_time
     inputs = run_inputs(log)
-    try:
-        evaluations = {each.grasp_index: each for each in map(evaluation_from_message, log.on("evaluations"))}
-    except AttributeError as error:
-        raise RecordingError(f"{log.path} was made with other message definitions than those here: {error}") from error
+    evaluations = {each.grasp_index: each for each in log.on("evaluations")}
     return RecordedRun(
         name=log.path.stem.removesuffix("_0"),
         path=log.path,
@@ -223,5 +223,7 @@ def _notes(log: LoggedRun, mesh: TetMesh | None, evaluations: Iterable[GraspEval
     if mesh is None:
         notes.append("The log does not hold the object's tetrahedra: fields over the mesh cannot be drawn.")
     elif not any(evaluation.fields for evaluation in evaluations):
-        notes.append("The log holds no fields over the mesh; ask for them with options.return_fields.")
+        notes.append(
+            "The log holds no fields over the mesh: no grasp was tried, or an older evaluator logged it without them."
+        )
     return notes

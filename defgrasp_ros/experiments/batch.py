@@ -123,6 +123,12 @@ class GraspBatch:
         candidate.evaluation.wall_time = time.monotonic() - self._started
         candidate.reported = True
         self.observer.on_evaluation(candidate.evaluation)
+        if not self.options.return_fields:
+            candidate.evaluation = candidate.evaluation.without_fields()
+
+    def keeps_fields(self) -> bool:
+        """Whether somebody wants the fields over the mesh."""
+        return self.options.return_fields or self.observer.wants_fields()
 
     def interrupted(self) -> Failure | None:
         """Return why the run has to end now; None: it may go on."""

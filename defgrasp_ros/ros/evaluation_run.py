@@ -155,6 +155,7 @@ class EvaluationRun:
             object_model.mesh,
             gripper,
             self._parameters,
+            return_fields=options.return_fields,
             start_time=start_time,
             stop=self._stop,
         )

@@ -36,6 +36,7 @@ class RunObserver(EvaluationObserver):
         mesh: Of the object.
         gripper: Of all grasps.
         parameters: Values of the node's parameters, of which those below ``publish`` count here.
+        return_fields: Whether the answer has fields over the mesh; what is published never has, the log always.
         start_time: The node's clock at the start of the run [ns]; stamps are this plus simulated time.
         stop: Ends the run early when set.
     """
@@ -48,6 +49,8 @@ class RunObserver(EvaluationObserver):
         mesh: TetMesh,
         gripper: Gripper,
         parameters: Mapping,
+        *,
+        return_fields: bool,
         start_time: int,
         stop: StopSignal,
     ) -> None:
@@ -58,10 +61,11 @@ class RunObserver(EvaluationObserver):
         self._identities = [{"grasp_index": index, "grasp_id": grasp.id} for index, grasp in grasps.items()]
         self._gripper = gripper
         self._shown = ShownGrasp(outputs, mesh, gripper, parameters)
+        self._return_fields = return_fields
         self._start_time = start_time
         self._stop = stop
         self.messages: dict[int, msg.GraspEvaluation] = {}
-        """The evaluations so far, with fields over the mesh, by index in the request."""
+        """The evaluations so far, as the answer has them, by index in the request."""
         send_robot_description(outputs, gripper, start_time)
 
     def on_progress(self, progress: Progress) -> None:
@@ -84,6 +88,9 @@ class RunObserver(EvaluationObserver):
                 self._outputs.send(CONTACTS, sample_to_contact_state(sample, stamp), time)
         self._shown.send(samples, time)
 
+    def wants_fields(self) -> bool:
+        return self._outputs.is_logged(EVALUATIONS)
+
     def on_evaluation(self, evaluation: GraspEvaluation) -> None:
         evaluation = self.in_request(evaluation)
         self._shown.finish(evaluation.grasp_index)
@@ -104,17 +111,14 @@ class RunObserver(EvaluationObserver):
         return evaluation
 
     def send_evaluation(self, evaluation: GraspEvaluation) -> None:
-        """Publish an evaluation that has its index in the request; the log gets it with its fields over the mesh."""
-        without_fields = self.message(evaluation, with_fields=False)
+        """Publish an evaluation that has its index in the request, log it, and keep it for the answer."""
+        time = self._time(evaluation.end_time)
+        without_fields = evaluation_to_message(evaluation.without_fields(), time_message(time))
+        complete = evaluation_to_message(evaluation, time_message(time))
         self._outputs.publish(EVALUATIONS, without_fields)
-        message = self.messages[evaluation.grasp_index] = self.message(evaluation)
-        self._outputs.log(EVALUATIONS, message, self._time(evaluation.end_time))
+        self._outputs.log(EVALUATIONS, complete, time)
+        self.messages[evaluation.grasp_index] = complete if self._return_fields else without_fields
         self._status.finished(without_fields)
-
-    def message(self, evaluation: GraspEvaluation, *, with_fields: bool = True) -> msg.GraspEvaluation:
-        """Return the message of an evaluation, stamped with the time at which it ended."""
-        stamp = time_message(self._time(evaluation.end_time))
-        return evaluation_to_message(evaluation, stamp, with_fields=with_fields)
 
     def _time(self, simulated_time: float) -> int:
         return self._start_time + round(simulated_time * NANOSECONDS)
