@@ -111,6 +111,7 @@ def test_failing_simulation_is_an_answer(
             ask()
         assert caught.value.code == code
     (log,) = tmp_path.glob("logs/*/*.mcap")
+    assert caught.value.__notes__ == [f"what happened before is in the log {log}"]
     assert read_log(log).complete
     assert ask().code == ResultCode.OK
 

@@ -22,7 +22,7 @@ from defgrasp_ros.analysis.field_notes import field_notes  # noqa: E402
 from defgrasp_ros.analysis.hdf5_export import to_world, write_hdf5  # noqa: E402
 from defgrasp_ros.analysis.tables import write_tables  # noqa: E402
 from defgrasp_ros.commands.export import export  # noqa: E402
-from defgrasp_ros.errors import InvalidOptionsError, RecordingError, ResultCode  # noqa: E402
+from defgrasp_ros.errors import InvalidOptionsError, NotFoundError, RecordingError, ResultCode  # noqa: E402
 from defgrasp_ros.recording import RunLog  # noqa: E402
 
 NODES, TETS = len(BLOCK.vertices), len(BLOCK.tetrahedra)
@@ -224,7 +224,7 @@ def test_bad_input_is_named(log, tmp_path):
     (tmp_path / "text.mcap").write_text("no log")
     with pytest.raises(RecordingError, match="no MCAP file"):
         load_run(tmp_path / "text.mcap")
-    with pytest.raises(RecordingError, match="gone.mcap"):
+    with pytest.raises(NotFoundError, match="gone.mcap"):
         load_run(tmp_path / "gone.mcap")
     with RunLog(tmp_path, "bare", [TOPICS["request"]], {}) as bare:
         bare.write("/evaluator/request", EvaluationRequest(), 1)

@@ -130,6 +130,7 @@ def load_run(path: Path) -> RecordedRun:
         path: The MCAP file, or the bag folder that holds it.
 
     Raises:
+        NotFoundError: If there is no such log.
         RecordingError: If it cannot be read, or holds no request of an evaluator, or not how its run was made.
     """
     from defgrasp_ros.ros.request_conversion import material_from_message

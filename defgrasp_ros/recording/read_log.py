@@ -53,7 +53,8 @@ def read_log(path: Path, *topics: str, convert: Mapping[str, Callable[[Any], Any
             numbers in lists, eight times as large as in the file.
 
     Raises:
-        RecordingError: If there is no such file, or if it is no MCAP log of ROS messages.
+        NotFoundError: If there is no such file.
+        RecordingError: If it is no MCAP log of ROS messages.
     """
     reader = LogReader(path)
     messages = []

@@ -85,6 +85,8 @@ class EvaluationRun:
         self._parameters = parameters
         self._registry = registry
         self._stop = stop
+        self.log_uri = ""
+        """Where the log is once the run has ended, in whatever way; empty if there is none."""
         self.recording_problem = ""
         """Why there is no complete log; empty where there is one, or none was asked for."""
 
@@ -116,14 +118,11 @@ class EvaluationRun:
         if request.options.record and self._parameters["record.enabled"]:
             self._start_log(object_model, gripper, options)
         try:
-            response = self._simulate(request, object_model, grasps, gripper, options)
+            return self._simulate(request, object_model, grasps, gripper, options)
         finally:
             self._status.finishing()
             log_path, self.recording_problem = self._outputs.end_log()
-        response.log_uri = log_path.as_uri() if log_path else ""
-        if self.recording_problem:
-            response.result.message += f"; {self.recording_problem}"
-        return response
+            self.log_uri = log_path.as_uri() if log_path else ""
 
     def _start_log(self, object_model: ObjectModel, gripper: Gripper, options: EvaluationOptions) -> None:
         mesh, parameters = object_model.mesh, self._parameters

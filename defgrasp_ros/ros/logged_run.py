@@ -40,6 +40,7 @@ def read_run(log: Path) -> RepeatableRun:
     """Read what a log says of its run.
 
     Raises:
+        NotFoundError: If there is no such log.
         RecordingError: If the log cannot be read, or lacks what is needed to repeat the run.
         DefgraspError: If the request in the log is none that can be evaluated.
     """
