@@ -169,12 +169,11 @@ def _grasps(
 ) -> list[RecordedGrasp]:
     from defgrasp_ros.ros.request_conversion import grasp_from_message
 
-    contacts, openings = defaultdict(list), defaultdict(dict)
+    contacts = defaultdict(list)
     for entry in log.messages:
         if entry.topic.endswith("/contacts"):
             contacts[entry.message.grasp_index].append(entry)
-        elif entry.topic.endswith(("/joint_states", "/all_joint_states")):
-            openings[entry.message.header.frame_id][entry.publish_time] = _opening(entry.message)
+    openings = _openings(log, [message.id or str(index) for index, message in enumerate(requested)])
     grasps = []
     for index, message in enumerate(requested):
         try:
@@ -189,7 +188,7 @@ def _grasps(
                 id=message.id or str(index),
                 grasp=grasp,
                 evaluation=evaluation,
-                samples=_samples(contacts[index], openings[message.id or str(index)], start),
+                samples=_samples(contacts[index], openings[index], start),
                 pickup=evaluation.pickup and _pickup(evaluation.pickup),
             )
         )
@@ -206,6 +205,28 @@ def _samples(contacts: list[LoggedMessage], openings: dict[int, float], start: i
         values["platform_force"][row] = entry.message.platform_force
         values["opening"][row] = openings.get(entry.publish_time, np.nan)
     return TimeSeries(np.array([(entry.publish_time - start) / NANOSECONDS for entry in contacts]), values)
+
+
+def _openings(log: LoggedRun, ids: list[str]) -> dict[int, dict[int, float]]:
+    """Return the position of the left finger by index of the grasp and time [m].
+
+    Joint states know their grasp by its id alone. Where several have the same, those of one instant come in the order
+    of its contacts; the joint states of the grasp that is shown could then be anyone's.
+    """
+    by_id: dict[tuple[str, int], list[float]] = defaultdict(list)
+    for entry in log.messages:
+        if entry.topic.endswith("/all_joint_states"):
+            by_id[entry.message.header.frame_id, entry.publish_time].append(_opening(entry.message))
+    for entry in log.messages:
+        if entry.topic.endswith("/joint_states") and ids.count(entry.message.header.frame_id) == 1:
+            by_id.setdefault((entry.message.header.frame_id, entry.publish_time), [_opening(entry.message)])
+    openings: dict[int, dict[int, float]] = defaultdict(dict)
+    for entry in log.messages:
+        if entry.topic.endswith("/contacts"):
+            index = entry.message.grasp_index
+            if left := by_id.get((ids[index], entry.publish_time)):
+                openings[index][entry.publish_time] = left.pop(0)
+    return openings
 
 
 def _opening(joints: Any) -> float:
