@@ -6,7 +6,6 @@ import dataclasses
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from threading import Event
 from unittest.mock import Mock
 from xml.etree import ElementTree
 
@@ -343,7 +342,6 @@ def test_samples_are_wanted_while_somebody_listens(tmp_path: Path) -> None:
                 parameter_values(node),
                 return_fields=False,
                 start_time=0,
-                stop=Event(),
             )
             assert not observer.wants_samples()
             outputs.start_log(tmp_path, "run", {})

@@ -67,7 +67,7 @@ class Pickup:
         for candidate in self.batch.candidates:
             if not candidate.finished:
                 why = self.batch.interrupted()
-                self.batch.finish(candidate, why.code, f"{why.message} before this grasp was finished")
+                self.batch.finish(candidate, why.code, f"ended before this grasp was finished: {why.message}")
 
     # --- phases -------------------------------------------------------------------------------------------------
 
