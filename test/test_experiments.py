@@ -11,6 +11,7 @@ from defgrasp_ros.evaluation import EvaluationObserver, EvaluationOptions, Exper
 from defgrasp_ros.experiments import acceleration, evaluate_grasps
 from defgrasp_ros.experiments.directions import sphere_directions
 from defgrasp_ros.experiments.slip_force import rotational_slip_force
+from defgrasp_ros.experiments.state_sampler import StateSampler
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import load_gripper
 from defgrasp_ros.material import Material
@@ -246,6 +247,27 @@ def test_unknown_experiment():
     """A name that does not exist is refused with those that do."""
     with pytest.raises(InvalidOptionsError, match=r"'shake'.*linear_acceleration"):
         EvaluationOptions(experiments={"shake"})
+
+
+def test_state_of_a_pickup_is_read_once(monkeypatch):
+    """At an instant that both the course and the observer want, the simulator is asked a single time."""
+    read, seen = [], []
+
+    def counted(self, time, *arguments):
+        read.append(time)
+        return original(self, time, *arguments)
+
+    class Watcher(EvaluationObserver):
+        def on_samples(self, samples):
+            seen.append(samples[0].time)
+
+    original = StateSampler.read
+    monkeypatch.setattr(StateSampler, "read", counted)
+    grasp = Grasp(np.zeros(3), FROM_ABOVE, "block")
+    options = EvaluationOptions(pickup_hold_time=0.1)
+    (evaluation,) = evaluate_grasps(block(), [grasp], WIDE_PADS, options, observer=Watcher())
+    assert len(read) == len(set(read)) == len(evaluation.pickup.time) > 10
+    assert set(seen) <= set(read) and len(seen) > 10
 
 
 class FieldFollower(EvaluationObserver):
