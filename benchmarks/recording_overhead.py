@@ -66,10 +66,11 @@ def main() -> int:
     parser.add_argument("--grasps", type=int, default=4)
     parser.add_argument("--repetitions", type=int, default=5)
     parser.add_argument("--hold-time", type=float, default=1.0, help="[s]")
+    parser.add_argument("--experiments", default="pickup", help="names with commas, or all")
     arguments = parser.parse_args()
     offsets = np.linspace(-0.01, 0.01, arguments.grasps)
     grasps = [Grasp(np.array([offset, 0.0, 0.0]), FROM_ABOVE, id=f"{1e3 * offset:.1f} mm") for offset in offsets]
-    options = EvaluationOptions(pickup_hold_time=arguments.hold_time)
+    options = EvaluationOptions(experiments=arguments.experiments, pickup_hold_time=arguments.hold_time)
     without: list[Cost] = []
     recorded: list[Cost] = []
     with tempfile.TemporaryDirectory() as folder, own_evaluator(Path(folder)) as node, GraspEvaluatorClient() as client:

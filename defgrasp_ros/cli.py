@@ -99,6 +99,7 @@ def evaluate(
     from defgrasp_ros.experiments import evaluate_grasps
     from defgrasp_ros.grasp_files import read_grasps
     from defgrasp_ros.report import document, evaluation_table, feature_table, material_text, reasons
+    from defgrasp_ros.stop_signal import StopSignal
 
     console = Console(stderr=True)
     values = {
@@ -120,8 +121,11 @@ def evaluate(
         f"{1e3 * model.mass:.1f} g"
     )
     console.print(material_text(substance))
+    stop = StopSignal()
+    if time_limit is not None:
+        stop.limit(time_limit)
     with ProgressBar(console, len(chosen)) as bar:
-        evaluations = evaluate_grasps(model, chosen, hand, options, device, bar, time_limit)
+        evaluations = evaluate_grasps(model, chosen, hand, options, device, bar, stop)
     for index, evaluation in zip(indices, evaluations, strict=True):
         evaluation.grasp_index = index
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum, StrEnum
 
 import numpy as np
@@ -92,7 +92,7 @@ class EvaluationOptions:
         50, "Squeeze without gravity: number of forces at which it is recorded", "-", 1, 1000
     )
     return_fields: bool = False
-    """Whether nodal positions and element stresses are kept in the results."""
+    """Whether nodal positions and element stresses are kept in the results; observers can have them without that."""
 
     def __post_init__(self) -> None:
         for name, described in options_of(type(self)).items():
@@ -237,6 +237,14 @@ class DeformedState:
     opening: float = NAN
     """Distance of each pad face from the grasp frame's origin [m]; nan before the gripper is there."""
 
+    def in_single_precision(self) -> DeformedState:
+        """Return a copy that takes half the room, as messages hold it; there can be over a hundred per grasp."""
+        return replace(
+            self,
+            positions=self.positions.astype(np.float32),
+            von_mises_stress=self.von_mises_stress.astype(np.float32),
+        )
+
 
 @dataclass
 class PickupCourse:
@@ -307,7 +315,7 @@ class ReorientationResult:
     reasons: list[str]
     """Why an axis has states without numbers; empty where all were reached, shape ``(16,)``."""
     states: dict[tuple[int, int], DeformedState] = field(default_factory=dict)
-    """Fields by axis and turn, where the options ask for fields."""
+    """Fields by axis and turn, in single precision; empty where nobody wants fields."""
 
     @property
     def controllability(self) -> float:
@@ -331,7 +339,7 @@ class SqueezeResult:
     """[J]."""
     contacts: list[tuple[FingerContact, FingerContact]] = field(default_factory=list)
     states: list[DeformedState] = field(default_factory=list)
-    """Where the options ask for fields."""
+    """Fields by force, in single precision; empty where nobody wants fields."""
     reason: str = ""
     """Why it ended early; empty where it did not."""
 
@@ -382,7 +390,16 @@ class GraspEvaluation:
     angular_acceleration: AccelerationResult | None = None
     squeeze: SqueezeResult | None = None
     fields: dict[str, DeformedState] = field(default_factory=dict)
-    """By stage: ``pre_contact``, ``at_target_force``, ``post_pickup``; filled where the options ask for fields."""
+    """By stage: ``pre_contact``, ``at_target_force``, ``post_pickup``; empty where nobody wants fields."""
+
+    def without_fields(self) -> GraspEvaluation:
+        """Return the same without anything over the mesh."""
+        return replace(
+            self,
+            fields={},
+            reorientation=self.reorientation and replace(self.reorientation, states={}),
+            squeeze=self.squeeze and replace(self.squeeze, states=[]),
+        )
 
 
 @dataclass
@@ -464,6 +481,11 @@ class EvaluationObserver:
 
     def on_samples(self, samples: Sequence[GraspSample]) -> None:
         """The present state of every grasp that is being simulated, at least one, in the order of the grasps."""
+
+    def wants_fields(self) -> bool:
+        """Whether the evaluations told here have fields over the mesh, although the options do not ask for them; kept
+        until then for the grasps of a batch, but not longer."""
+        return False
 
     def on_evaluation(self, evaluation: GraspEvaluation) -> None:
         """One grasp is finished."""

@@ -107,12 +107,15 @@ def missed(index: int, code: ResultCode, message: str) -> ev.GraspEvaluation:
     return ev.GraspEvaluation(index, GRASPS[index].id, code=code, message=message, target_force=1.0)
 
 
-def write_log(directory: Path, *, with_mesh: bool = True, finished: int = 3, close: bool = True) -> Path:
+def write_log(
+    directory: Path, *, with_mesh: bool = True, with_fields: bool = True, finished: int = 3, close: bool = True
+) -> Path:
     """Write the log and return its file.
 
     Args:
         directory: Where.
         with_mesh: Whether the tetrahedra are inside.
+        with_fields: Whether the results have their fields over the mesh.
         finished: Of how many grasps there is a result.
         close: Whether the log is closed; otherwise it ends as if its writer had been killed.
     """
@@ -132,6 +135,7 @@ def write_log(directory: Path, *, with_mesh: bool = True, finished: int = 3, clo
     for step in range(5):
         _write_sample(log, step)
     for result in results[:finished]:
+        result = result if with_fields else result.without_fields()
         log.write("/evaluator/evaluations", evaluation_to_message(result, Time(sec=1)), START)
     log.close()
     path = directory / "run" / "run_0.mcap"

@@ -153,6 +153,7 @@ def test_experiments_are_in_document_and_table(block, grasps, tmp_path, monkeypa
         (["--grasp-indices", "a"], "is not a list of row numbers"),
         (["--gripper", "claw"], "NOT_FOUND: gripper 'claw' is unknown; known: franka_hand, robotiq_2f_85, round_pads"),
         (["--device", "cuda:77"], "NOT_FOUND: device = 'cuda:77' is not available"),
+        (["--time-limit", "0"], "INVALID_OPTIONS: time_limit = 0 s is outside (0, inf) s"),
     ],
 )
 def test_bad_input_ends_with_one_line(block, grasps, arguments, expected, monkeypatch, capsys):

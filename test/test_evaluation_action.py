@@ -148,7 +148,16 @@ def test_time_limit_leaves_what_is_finished(client: GraspEvaluatorClient) -> Non
     answer = client.evaluate_grasps(BLOCK, MATERIAL, [CENTRE, BESIDE], options=LONG, time_limit=2.0, timeout=TIMEOUT)
     assert answer.code == ResultCode.TIMEOUT
     assert [each.code for each in answer.evaluations] == [ResultCode.TIMEOUT, ResultCode.NO_CONTACT]
-    assert "time_limit = 2 s" in answer.evaluations[0].message
+    assert "time limit of 2 s" in answer.evaluations[0].message
+
+
+def test_time_limit_that_is_over_at_once_answers_every_grasp(client: GraspEvaluatorClient) -> None:
+    """It counts from the beginning, and each grasp says how far the run was."""
+    answer = client.evaluate_grasps(BLOCK, MATERIAL, [CENTRE, BESIDE], time_limit=1e-3, timeout=TIMEOUT)
+    assert [each.code for each in answer.evaluations] == [ResultCode.TIMEOUT] * 2
+    assert answer.code == ResultCode.TIMEOUT and "time limit of 0.001 s" in answer.message
+    text = "ended before the object had come to rest: stopped at the time limit of 0.001 s"
+    assert {each.message for each in answer.evaluations} == {text}
 
 
 def test_time_limit_ends_the_mesher(client: GraspEvaluatorClient) -> None:

@@ -18,6 +18,7 @@ from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.shapes import box
 from defgrasp_ros.object_model import ObjectModel
+from defgrasp_ros.stop_signal import StopSignal
 
 rclpy = pytest.importorskip("rclpy")
 pytest.importorskip("defgrasp_interfaces.msg", reason="the message definitions are not built")
@@ -40,6 +41,7 @@ def held(
     options: EvaluationOptions,
     device: str,
     observer: EvaluationObserver,
+    stop: StopSignal,
 ) -> list[GraspEvaluation]:
     """Stand-in for the simulation: every grasp holds for as long as it should."""
     evaluations = [
@@ -111,13 +113,14 @@ def test_failing_simulation_is_an_answer(
             ask()
         assert caught.value.code == code
     (log,) = tmp_path.glob("logs/*/*.mcap")
+    assert caught.value.__notes__ == [f"what happened before is in the log {log}"]
     assert read_log(log).complete
     assert ask().code == ResultCode.OK
 
 
 def failing_after(done: int, error: Exception) -> object:
-    def evaluate_grasps(object_model, grasps, gripper, options, device, observer) -> list[GraspEvaluation]:
-        held(object_model, grasps[:done], gripper, options, device, observer)
+    def evaluate_grasps(object_model, grasps, gripper, options, device, observer, stop) -> list[GraspEvaluation]:
+        held(object_model, grasps[:done], gripper, options, device, observer, stop)
         raise error
 
     return evaluate_grasps

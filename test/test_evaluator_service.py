@@ -25,6 +25,8 @@ from defgrasp_ros.mesh.shapes import box
 pytest.importorskip("rclpy")
 msg = pytest.importorskip("defgrasp_interfaces.msg", reason="the message definitions are not built")
 
+from defgrasp_ros.analysis import load_run  # noqa: E402
+from defgrasp_ros.analysis.report_page import render  # noqa: E402
 from defgrasp_ros.client import EvaluatorGoneError, GraspEvaluatorClient, MeshFile, Surface  # noqa: E402
 from defgrasp_ros.recording import read_log  # noqa: E402
 from defgrasp_ros.ros.request_conversion import grasp_to_message, object_to_message, options_to_message  # noqa: E402
@@ -205,6 +207,59 @@ def test_experiments_are_simulated_reported_and_logged(client: GraspEvaluatorCli
     (logged,) = [each for each in read_log(answer.log_path).on("evaluations") if each.grasp_id == "centre"]
     assert len(logged.reorientation[0].states) == 64
     assert list(logged.squeeze[0].force) == [7.5, 15.0]
+
+
+def test_log_alone_has_the_fields_that_nobody_asked_for(client: GraspEvaluatorClient) -> None:
+    """Neither the answer nor what is published has fields over the mesh; the log has all, and its page pictures."""
+    options = dataclasses.replace(
+        SHORT,
+        experiments=frozenset({Experiment.PICKUP, Experiment.REORIENTATION, Experiment.SQUEEZE}),
+        reorientation_speed=30.0,
+        squeeze_sample_count=2,
+    )
+    with subprocess.Popen([sys.executable, "-c", FIELD_COUNTER], stdout=subprocess.PIPE, text=True) as listener:
+        assert listener.stdout is not None
+        assert listener.stdout.readline().strip() == "listening"
+        answer = client.evaluate_grasps(
+            BLOCK, MATERIAL, [central_grasp("plain")], options=options, timeout=ANSWER_TIMEOUT
+        )
+        published, _ = listener.communicate(timeout=ANSWER_TIMEOUT)
+    assert published.split() == ["0", "0", "0"]
+    (held,) = answer.evaluations
+    assert held.metrics.pickup_success and held.reorientation is not None and held.squeeze is not None
+    assert not held.fields and not held.reorientation.states and not held.squeeze.states
+    assert answer.log_path is not None
+    run = load_run(answer.log_path)
+    logged = run.grasps[0].evaluation
+    assert list(logged.fields) == ["pre_contact", "at_target_force", "post_pickup"]
+    assert logged.reorientation is not None and logged.squeeze is not None
+    assert len(logged.reorientation.states) == 64 and len(logged.squeeze.states) == 2
+    # Of an element, the largest of its stress points; single precision has seven digits.
+    assert logged.fields["post_pickup"].von_mises_stress.max() == pytest.approx(
+        held.metrics.max_von_mises_stress, rel=1e-6
+    )
+    page = render(run, run.grasps)
+    assert "No pictures" not in page and "no fields over the mesh" not in page
+    assert page.count("<image") == 6  # stress, deformation, and the four turns about one axis
+
+
+FIELD_COUNTER = """
+import rclpy
+from defgrasp_interfaces.msg import GraspEvaluation
+rclpy.init()
+node = rclpy.create_node("listener")
+plain = []
+def take(evaluation):
+    if evaluation.grasp_id == "plain":
+        plain.append(evaluation)
+node.create_subscription(GraspEvaluation, "/defgrasp_evaluator/evaluations", take, 10)
+while not node.count_publishers("/defgrasp_evaluator/evaluations"):
+    rclpy.spin_once(node, timeout_sec=0.1)
+print("listening", flush=True)
+while not plain:
+    rclpy.spin_once(node, timeout_sec=0.1)
+print(len(plain[0].fields), len(plain[0].reorientation[0].states), len(plain[0].squeeze[0].states))
+"""
 
 
 def without_shape(request: msg.EvaluationRequest) -> None:

@@ -11,6 +11,7 @@ from defgrasp_ros.evaluation import EvaluationObserver, EvaluationOptions, Exper
 from defgrasp_ros.experiments import acceleration, evaluate_grasps
 from defgrasp_ros.experiments.directions import sphere_directions
 from defgrasp_ros.experiments.slip_force import rotational_slip_force
+from defgrasp_ros.experiments.state_sampler import StateSampler
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import load_gripper
 from defgrasp_ros.material import Material
@@ -246,3 +247,57 @@ def test_unknown_experiment():
     """A name that does not exist is refused with those that do."""
     with pytest.raises(InvalidOptionsError, match=r"'shake'.*linear_acceleration"):
         EvaluationOptions(experiments={"shake"})
+
+
+def test_state_of_a_pickup_is_read_once(monkeypatch):
+    """At an instant that both the course and the observer want, the simulator is asked a single time."""
+    read, seen = [], []
+
+    def counted(self, time, *arguments):
+        read.append(time)
+        return original(self, time, *arguments)
+
+    class Watcher(EvaluationObserver):
+        def on_samples(self, samples):
+            seen.append(samples[0].time)
+
+    original = StateSampler.read
+    monkeypatch.setattr(StateSampler, "read", counted)
+    grasp = Grasp(np.zeros(3), FROM_ABOVE, "block")
+    options = EvaluationOptions(pickup_hold_time=0.1)
+    (evaluation,) = evaluate_grasps(block(), [grasp], WIDE_PADS, options, observer=Watcher())
+    assert len(read) == len(set(read)) == len(evaluation.pickup.time) > 10
+    assert set(seen) <= set(read) and len(seen) > 10
+
+
+class FieldFollower(EvaluationObserver):
+    """Wants the fields, and keeps what it is told."""
+
+    def __init__(self):
+        self.evaluations = []
+
+    def wants_fields(self):
+        return True
+
+    def on_evaluation(self, evaluation):
+        self.evaluations.append(evaluation)
+
+
+def test_observer_gets_fields_that_are_not_returned():
+    """What an observer wants changes no number, and fields are not kept beyond what it is told."""
+    options = EvaluationOptions(
+        pickup_hold_time=0.1, experiments="reorientation,squeeze", reorientation_speed=30.0, squeeze_sample_count=2
+    )
+    grasp, follower = Grasp(np.zeros(3), FROM_ABOVE, "block"), FieldFollower()
+    (returned,) = evaluate_grasps(block(), [grasp], WIDE_PADS, options, observer=follower)
+    (told,) = follower.evaluations
+    assert set(told.fields) == {"pre_contact", "at_target_force", "post_pickup"}
+    assert len(told.reorientation.states) == 64 and len(told.squeeze.states) == 2
+    assert not returned.fields and not returned.reorientation.states and not returned.squeeze.states
+    largest = max(state.von_mises_stress.max() for state in told.reorientation.states.values())
+    assert largest == pytest.approx(returned.reorientation.max_von_mises_stress.max(), rel=1e-6)
+    (plain,) = evaluate_grasps(block(), [grasp], WIDE_PADS, options)
+    assert not plain.fields
+    np.testing.assert_array_equal(plain.reorientation.max_deformation, told.reorientation.max_deformation)
+    np.testing.assert_array_equal(plain.squeeze.strain_energy, told.squeeze.strain_energy)
+    assert plain.metrics == returned.metrics

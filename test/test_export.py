@@ -14,16 +14,21 @@ pytest.importorskip("defgrasp_interfaces.msg", reason="the message definitions a
 pytest.importorskip("sensor_msgs.msg")
 
 import h5py  # noqa: E402
-from defgrasp_interfaces.msg import EvaluationRequest  # noqa: E402
-from recorded_example import BLOCK, GRASPS, TOPICS, held, stretched, write_log  # noqa: E402
+from defgrasp_interfaces.msg import ContactState, EvaluationRequest, FingerContact  # noqa: E402
+from recorded_example import BLOCK, GRASPS, MATERIAL, TOPICS, held, stretched, write_log  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
 
 from defgrasp_ros.analysis import load_run  # noqa: E402
 from defgrasp_ros.analysis.field_notes import field_notes  # noqa: E402
 from defgrasp_ros.analysis.hdf5_export import to_world, write_hdf5  # noqa: E402
 from defgrasp_ros.analysis.tables import write_tables  # noqa: E402
 from defgrasp_ros.commands.export import export  # noqa: E402
-from defgrasp_ros.errors import InvalidOptionsError, RecordingError, ResultCode  # noqa: E402
-from defgrasp_ros.recording import RunLog  # noqa: E402
+from defgrasp_ros.errors import InvalidOptionsError, NotFoundError, RecordingError, ResultCode  # noqa: E402
+from defgrasp_ros.evaluation import FINGER_NAMES, EvaluationOptions  # noqa: E402
+from defgrasp_ros.gripper import load_gripper  # noqa: E402
+from defgrasp_ros.recording import RunLog, Topic, provenance  # noqa: E402
+from defgrasp_ros.ros.object_source import RegisteredObject  # noqa: E402
+from defgrasp_ros.ros.request_conversion import grasp_to_message, object_to_message  # noqa: E402
 
 NODES, TETS = len(BLOCK.vertices), len(BLOCK.tetrahedra)
 MASTER_SHAPES = {
@@ -199,6 +204,31 @@ def test_cut_log_says_which_grasps_are_missing(tmp_path):
         assert np.isnan(content["initial_desired_force"][1])
 
 
+def test_grasps_of_the_same_id_have_their_own_curves(tmp_path):
+    """Each has its forces and openings, also where the shown grasp's joint states stand between them."""
+    grasps = [grasp_to_message(replace(GRASPS[0], id=id)) for id in ("same", "same", "other")]
+    request = EvaluationRequest(object=object_to_message(RegisteredObject("block"), MATERIAL), grasps=grasps)
+    everyone = Topic("/evaluator/all_joint_states", JointState, depth=10)
+    facts = provenance("cpu", {}, load_gripper(), EvaluationOptions())
+    with RunLog(tmp_path, "run", [*TOPICS.values(), everyone], facts) as log:
+        log.write("/evaluator/request", request, 0)
+        for time in (0, 20_000_000):
+            for index, opening in enumerate((0.01, 0.02, 0.03)):
+                joints = JointState(
+                    name=[f"{name}_joint" for name in FINGER_NAMES], position=[opening + 1e-9 * time] * 2
+                )
+                joints.header.frame_id = grasps[index].id
+                log.write(everyone.name, joints, time)
+                if index == 1:  # the one that is shown
+                    log.write("/evaluator/joint_states", joints, time)
+            for index in range(3):
+                fingers = [FingerContact(name=name, normal_force=float(index)) for name in FINGER_NAMES]
+                log.write("/evaluator/contacts", ContactState(fingers=fingers, grasp_index=index), time)
+    for grasp, opening in zip(load_run(log.path).grasps, (0.01, 0.02, 0.03), strict=True):
+        np.testing.assert_allclose(grasp.samples.values["opening"], [opening, opening + 0.02])
+        np.testing.assert_array_equal(grasp.samples.values["left_normal_force"], [grasp.index] * 2)
+
+
 def test_log_without_tetrahedra_is_exported(tmp_path):
     """The fields are exported without their mesh; the turned states, which need its centre of mass, are nan."""
     run = load_run(write_log(tmp_path, with_mesh=False))
@@ -224,7 +254,7 @@ def test_bad_input_is_named(log, tmp_path):
     (tmp_path / "text.mcap").write_text("no log")
     with pytest.raises(RecordingError, match="no MCAP file"):
         load_run(tmp_path / "text.mcap")
-    with pytest.raises(RecordingError, match="gone.mcap"):
+    with pytest.raises(NotFoundError, match="gone.mcap"):
         load_run(tmp_path / "gone.mcap")
     with RunLog(tmp_path, "bare", [TOPICS["request"]], {}) as bare:
         bare.write("/evaluator/request", EvaluationRequest(), 1)

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from defgrasp_ros import stop_signal
 from defgrasp_ros.errors import ResultCode
 from defgrasp_ros.evaluation import EvaluationObserver, EvaluationOptions, Experiment, GraspEvaluation, Phase
-from defgrasp_ros.experiments import evaluate_grasps, interruption
+from defgrasp_ros.experiments import evaluate_grasps
 from defgrasp_ros.experiments.candidate import Candidate
 from defgrasp_ros.experiments.interruption import Interruption
 from defgrasp_ros.grasp import Grasp
@@ -20,6 +21,7 @@ from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.shapes import box
 from defgrasp_ros.object_model import ObjectModel
 from defgrasp_ros.simulation.simulator import Simulator
+from defgrasp_ros.stop_signal import StopSignal
 
 FROM_ABOVE = Rotation.from_euler("x", np.pi).as_quat()
 MODEL = ObjectModel("block", box((0.03, 0.03, 0.03), (2, 2, 2)), Material(2e5))
@@ -112,7 +114,7 @@ def test_canceled_in_a_later_experiment(phase):
     """The pickup's numbers stay; the experiment has none and says that it was canceled."""
     evaluation = evaluate(replace(SHORT, experiments={RESULT_OF[phase]}), PhaseFollower(phase))
     assert evaluation.code is ResultCode.CANCELED
-    assert evaluation.message == "picked up and held; canceled before all was done"
+    assert evaluation.message == "picked up and held; ended before all was done: canceled"
     assert evaluation.metrics.pickup_success and evaluation.metrics.strain_energy > 0.0
     assert reason_of(evaluation, RESULT_OF[phase]).endswith("canceled")
     if METRIC_OF[phase]:
@@ -124,7 +126,7 @@ def test_canceled_in_the_pickup(phase):
     """There are no metrics; features are there if the target force was reached."""
     evaluation = evaluate(replace(SHORT, experiments="all"), PhaseFollower(phase))
     assert evaluation.code is ResultCode.CANCELED
-    assert evaluation.message == "canceled before this grasp was finished"
+    assert evaluation.message == "ended before this grasp was finished: canceled"
     assert missing(evaluation.metrics)
     assert missing(evaluation.features) == (phase is Phase.SQUEEZE)
     assert evaluation.reorientation is evaluation.linear_acceleration is evaluation.angular_acceleration is None
@@ -132,8 +134,9 @@ def test_canceled_in_the_pickup(phase):
 
 def test_time_limit_in_a_later_experiment(monkeypatch):
     """What a time limit leaves out is marked as such, and what was measured before stays."""
-    now = [0.0]
-    monkeypatch.setattr(interruption.time, "monotonic", lambda: now[0])
+    now, stop = [0.0], StopSignal()
+    monkeypatch.setattr(stop_signal.time, "monotonic", lambda: now[0])
+    stop.limit(5.0)
 
     class Clock(EvaluationObserver):
         def on_progress(self, progress):
@@ -141,20 +144,38 @@ def test_time_limit_in_a_later_experiment(monkeypatch):
 
     grasp = Grasp(np.zeros(3), FROM_ABOVE, "block")
     options = replace(SHORT, experiments={"linear_acceleration"})
-    (evaluation,) = evaluate_grasps(MODEL, [grasp], load_gripper(), options, observer=Clock(), time_limit=5.0)
+    (evaluation,) = evaluate_grasps(MODEL, [grasp], load_gripper(), options, observer=Clock(), stop=stop)
     assert evaluation.code is ResultCode.TIMEOUT and evaluation.metrics.pickup_success
-    assert evaluation.message.endswith("stopped at the time limit of 5 s before all was done")
+    assert evaluation.message.endswith("ended before all was done: stopped at the time limit of 5 s")
     assert set(evaluation.linear_acceleration.reasons) == {"stopped at the time limit of 5 s"}
     assert math.isnan(evaluation.metrics.linear_instability)
 
 
+@pytest.mark.parametrize("phase", RESULT_OF)
+def test_a_stop_from_outside_is_the_reason_of_every_direction(phase):
+    """Whoever ends the run says why, and each direction and the grasp repeat it."""
+    stop = StopSignal()
+
+    class Ending(EvaluationObserver):
+        def on_progress(self, progress):
+            if progress.phase is phase:
+                stop.set(ResultCode.TIMEOUT, "the shift is over")
+
+    grasp, options = Grasp(np.zeros(3), FROM_ABOVE, "block"), replace(SHORT, experiments={RESULT_OF[phase]})
+    (evaluation,) = evaluate_grasps(MODEL, [grasp], load_gripper(), options, observer=Ending(), stop=stop)
+    assert evaluation.code is ResultCode.TIMEOUT
+    assert evaluation.message == "picked up and held; ended before all was done: the shift is over"
+    assert reason_of(evaluation, RESULT_OF[phase]).endswith("the shift is over")
+
+
 def test_the_first_reason_to_stop_stays(monkeypatch):
     """A run that reached its time limit is not canceled afterwards."""
-    observer = PhaseFollower(Phase.DONE)
-    monkeypatch.setattr(interruption.time, "monotonic", lambda: 0.0)
-    watch = Interruption(observer, 1.0)
+    observer, stop = PhaseFollower(Phase.DONE), StopSignal()
+    monkeypatch.setattr(stop_signal.time, "monotonic", lambda: 0.0)
+    stop.limit(1.0)
+    watch = Interruption(observer, stop)
     assert watch.reason() is None
-    monkeypatch.setattr(interruption.time, "monotonic", lambda: 2.0)
+    monkeypatch.setattr(stop_signal.time, "monotonic", lambda: 2.0)
     assert watch.reason().code is ResultCode.TIMEOUT
     observer.phase = Phase.DONE
     assert watch.reason().code is ResultCode.TIMEOUT

@@ -17,6 +17,7 @@ import pytest
 from ros_processes import isolated_ros, running_evaluator
 from typer.testing import CliRunner
 
+from defgrasp_ros.errors import NotFoundError
 from defgrasp_ros.evaluation import EvaluationOptions
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.material import Material
@@ -320,6 +321,17 @@ def test_space_bar_lets_a_paused_replay_go_on(small_log: Path, collector: subpro
     os.close(terminal)
     texts = [text for text in heard if not text.startswith("clock")]
     assert texts == ["description gripper", *(f"joints {number}" for number in range(10)), "description end"]
+
+
+@pytest.mark.parametrize("command", ["info", "replay", "rerun", "export", "report"])
+def test_missing_log_is_not_found(tmp_path: Path, command: str) -> None:
+    """The error says which log is missing and what to give instead."""
+    more = ["--csv", str(tmp_path)] if command == "export" else []
+    with isolated_ros():
+        result = CliRunner().invoke(app, [command, str(tmp_path / "gone"), *more])
+    assert result.exit_code == 1
+    assert isinstance(result.exception, NotFoundError)
+    assert f"there is no log {tmp_path / 'gone'}; give the bag folder" in str(result.exception)
 
 
 @pytest.mark.parametrize(

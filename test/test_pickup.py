@@ -15,6 +15,7 @@ from defgrasp_ros.gripper import load_gripper
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.shapes import box
 from defgrasp_ros.object_model import ObjectModel
+from defgrasp_ros.stop_signal import StopSignal
 
 FROM_ABOVE = Rotation.from_euler("x", np.pi).as_quat()
 OPTIONS = EvaluationOptions(pickup_hold_time=0.5, return_fields=True)
@@ -331,18 +332,45 @@ def test_stopping_keeps_what_is_finished():
 
 def test_time_limit_keeps_what_is_finished():
     """Once the time is over, what was not finished is marked as timed out; what failed before keeps its reason."""
+    stop = StopSignal()
+
+    class Squeezed(EvaluationObserver):
+        def on_progress(self, progress):
+            if progress.phase is Phase.SQUEEZE:
+                stop.limit(1e-6)
+
     grasps = [grasp("held"), grasp("beside", position=(0.06, 0.0, 0.0))]
-    evaluations = evaluate_grasps(block(), grasps, load_gripper(), OPTIONS, time_limit=1e-6)
+    evaluations = evaluate_grasps(block(), grasps, load_gripper(), OPTIONS, observer=Squeezed(), stop=stop)
     assert [e.code for e in evaluations] == [ResultCode.TIMEOUT, ResultCode.NO_CONTACT]
-    assert evaluations[0].message == "stopped at the time limit of 1e-06 s before this grasp was finished"
+    assert evaluations[0].message == "ended before this grasp was finished: stopped at the time limit of 1e-06 s"
     assert np.isnan(evaluations[0].metrics.max_von_mises_stress)
+
+
+def test_time_limit_counts_while_the_object_settles():
+    """Every grasp is told to the observer and answered, although not one was begun."""
+    stop, told = StopSignal(), []
+    stop.limit(1e-6)
+
+    class Listener(EvaluationObserver):
+        def on_evaluation(self, evaluation):
+            told.append(evaluation)
+
+    grasps = [grasp("held"), grasp("")]
+    evaluations = evaluate_grasps(block(), grasps, load_gripper(), OPTIONS, observer=Listener(), stop=stop)
+    assert evaluations == told
+    assert [(e.grasp_index, e.grasp_id, e.code) for e in told] == [
+        (0, "held", ResultCode.TIMEOUT),
+        (1, "1", ResultCode.TIMEOUT),
+    ]
+    text = "ended before the object had come to rest: stopped at the time limit of 1e-06 s"
+    assert {e.message for e in told} == {text}
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, np.nan])
 def test_time_limit_without_meaning_is_an_error(limit):
     """A time limit that is no positive number is refused by name."""
     with pytest.raises(InvalidOptionsError, match="time_limit"):
-        evaluate_grasps(block(), [grasp("held")], load_gripper(), OPTIONS, time_limit=limit)
+        StopSignal().limit(limit)
 
 
 def test_no_grasp_is_an_error():

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import yaml
 
-from defgrasp_ros.errors import RecordingError
+from defgrasp_ros.errors import NotFoundError, RecordingError
 
 pytest.importorskip("defgrasp_interfaces.msg", reason="the message definitions are not built")
 pytest.importorskip("sensor_msgs.msg")
@@ -259,16 +259,21 @@ def test_full_disk_is_a_recording_error_and_leaves_a_readable_log(tmp_path: Path
 
 
 def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
-    """A missing file, another format and an empty folder are recording errors that name the path."""
+    """A missing file, another format and a folder without or with several logs are errors that name the path."""
     other = tmp_path / "notes.mcap"
     other.write_text("not a log, but a longer text")
     with pytest.raises(RecordingError, match="no MCAP file"):
         read_log(other)
-    with pytest.raises(RecordingError, match="missing.mcap"):
+    with pytest.raises(NotFoundError, match="missing.mcap; give the bag folder"):
         read_log(tmp_path / "missing.mcap")
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(RecordingError, match="0 .mcap files"):
-        read_log(tmp_path / "empty")
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    with pytest.raises(NotFoundError, match="holds no .mcap file"):
+        read_log(folder)
+    for name in ("a.mcap", "b.mcap"):
+        (folder / name).touch()
+    with pytest.raises(RecordingError, match="holds 2 .mcap files; name one"):
+        read_log(folder)
 
 
 def test_slow_disk_holds_the_caller_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -155,6 +155,17 @@ def test_cut_log_without_mesh_has_a_page(tmp_path):
         write_report(Path(tmp_path / "gone" / "report.html"), run)
 
 
+def test_log_without_fields_says_so(tmp_path):
+    """Logs of older evaluators have numbers and charts, and the page tells why there are no pictures."""
+    run = load_run(write_log(tmp_path, with_fields=False))
+    text = render(run, run.grasps)
+    page = Page(text)
+    assert "The log holds no fields over the mesh: no grasp was tried, or an older evaluator" in text
+    assert "No pictures: the log holds no fields over the mesh for this grasp" in text
+    assert "image" not in page.tags
+    assert ranking(page)[0][4].strip() == "2.00"
+
+
 def test_color_bar_has_unit_and_ends():
     """The scale begins at 0, ends at the largest value, and its labels do not touch."""
     bar = color_bar("stress", stress_scale([np.linspace(0.0, 4300.0, 50)]), 1e-3, "kPa")

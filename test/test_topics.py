@@ -6,7 +6,6 @@ import dataclasses
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from threading import Event
 from unittest.mock import Mock
 from xml.etree import ElementTree
 
@@ -334,7 +333,16 @@ def test_samples_are_wanted_while_somebody_listens(tmp_path: Path) -> None:
             declare_parameters(node)
             outputs = Outputs(node)
             grasps = {0: sample().grasp}
-            observer = RunObserver(outputs, Mock(), grasps, MESH, HAND, parameter_values(node), 0, Event())
+            observer = RunObserver(
+                outputs,
+                Mock(),
+                grasps,
+                MESH,
+                HAND,
+                parameter_values(node),
+                return_fields=False,
+                start_time=0,
+            )
             assert not observer.wants_samples()
             outputs.start_log(tmp_path, "run", {})
             assert observer.wants_samples() and not outputs.wanted(CLOCK)

@@ -130,22 +130,23 @@ def load_run(path: Path) -> RecordedRun:
         path: The MCAP file, or the bag folder that holds it.
 
     Raises:
+        NotFoundError: If there is no such log.
         RecordingError: If it cannot be read, or holds no request of an evaluator, or not how its run was made.
     """
     from defgrasp_ros.ros.request_conversion import material_from_message
     from defgrasp_ros.ros.result_conversion import evaluation_from_message
 
-    log = read_log(path, *TOPICS)
+    try:
+        log = read_log(path, *TOPICS, convert={"evaluations": evaluation_from_message})
+    except AttributeError as error:
+        raise RecordingError(f"{path} was made with other message definitions than those here: {error}") from error
     entry = next((entry for entry in log.messages if entry.topic.endswith("/request")), None)
     if entry is None:
         cause = "it ends before" if not log.complete else "it is no log of an evaluator"
         raise RecordingError(f"{log.path} holds no message on ~/request: {cause}")
     request, start = entry.message, entry.publish_time
     inputs = run_inputs(log)
-    try:
-        evaluations = {each.grasp_index: each for each in map(evaluation_from_message, log.on("evaluations"))}
-    except AttributeError as error:
-        raise RecordingError(f"{log.path} was made with other message definitions than those here: {error}") from error
+    evaluations = {each.grasp_index: each for each in log.on("evaluations")}
     return RecordedRun(
         name=log.path.stem.removesuffix("_0"),
         path=log.path,
@@ -168,12 +169,11 @@ def _grasps(
 ) -> list[RecordedGrasp]:
     from defgrasp_ros.ros.request_conversion import grasp_from_message
 
-    contacts, openings = defaultdict(list), defaultdict(dict)
+    contacts = defaultdict(list)
     for entry in log.messages:
         if entry.topic.endswith("/contacts"):
             contacts[entry.message.grasp_index].append(entry)
-        elif entry.topic.endswith(("/joint_states", "/all_joint_states")):
-            openings[entry.message.header.frame_id][entry.publish_time] = _opening(entry.message)
+    openings = _openings(log, [message.id or str(index) for index, message in enumerate(requested)])
     grasps = []
     for index, message in enumerate(requested):
         try:
@@ -188,7 +188,7 @@ def _grasps(
                 id=message.id or str(index),
                 grasp=grasp,
                 evaluation=evaluation,
-                samples=_samples(contacts[index], openings[message.id or str(index)], start),
+                samples=_samples(contacts[index], openings[index], start),
                 pickup=evaluation.pickup and _pickup(evaluation.pickup),
             )
         )
@@ -207,6 +207,28 @@ def _samples(contacts: list[LoggedMessage], openings: dict[int, float], start: i
     return TimeSeries(np.array([(entry.publish_time - start) / NANOSECONDS for entry in contacts]), values)
 
 
+def _openings(log: LoggedRun, ids: list[str]) -> dict[int, dict[int, float]]:
+    """Return the position of the left finger by index of the grasp and time [m].
+
+    Joint states know their grasp by its id alone. Where several have the same, those of one instant come in the order
+    of its contacts; the joint states of the grasp that is shown could then be anyone's.
+    """
+    by_id: dict[tuple[str, int], list[float]] = defaultdict(list)
+    for entry in log.messages:
+        if entry.topic.endswith("/all_joint_states"):
+            by_id[entry.message.header.frame_id, entry.publish_time].append(_opening(entry.message))
+    for entry in log.messages:
+        if entry.topic.endswith("/joint_states") and ids.count(entry.message.header.frame_id) == 1:
+            by_id.setdefault((entry.message.header.frame_id, entry.publish_time), [_opening(entry.message)])
+    openings: dict[int, dict[int, float]] = defaultdict(dict)
+    for entry in log.messages:
+        if entry.topic.endswith("/contacts"):
+            index = entry.message.grasp_index
+            if left := by_id.get((ids[index], entry.publish_time)):
+                openings[index][entry.publish_time] = left.pop(0)
+    return openings
+
+
 def _opening(joints: Any) -> float:
     """Return the position of the left finger [m]; nan if the message has no such joint."""
     positions = dict(zip(joints.name, joints.position, strict=False))
@@ -223,5 +245,7 @@ def _notes(log: LoggedRun, mesh: TetMesh | None, evaluations: Iterable[GraspEval
     if mesh is None:
         notes.append("The log does not hold the object's tetrahedra: fields over the mesh cannot be drawn.")
     elif not any(evaluation.fields for evaluation in evaluations):
-        notes.append("The log holds no fields over the mesh; ask for them with options.return_fields.")
+        notes.append(
+            "The log holds no fields over the mesh: no grasp was tried, or an older evaluator logged it without them."
+        )
     return notes

@@ -52,15 +52,20 @@ def answer_from_message(message: EvaluateGrasp.Response | EvaluateGrasps.Result)
     """Return the answer of a message.
 
     Raises:
-        DefgraspError: If the request was refused: the class of ``defgrasp_ros.errors`` with the evaluator's code.
+        DefgraspError: If the request was refused, or failed before the first evaluation: the class of
+            ``defgrasp_ros.errors`` with the evaluator's code, and the run's log as a note.
     """
+    log_path = Path(unquote(urlsplit(message.log_uri).path)) if message.log_uri else None
     if not message.evaluations:
-        raise refusal(message.result)
+        error = refusal(message.result)
+        if log_path:
+            error.add_note(f"what happened before is in the log {log_path}")
+        raise error
     return EvaluationAnswer(
         evaluations=[evaluation_from_message(evaluation) for evaluation in message.evaluations],
         code=ResultCode(message.result.code),
         message=message.result.message,
-        log_path=Path(unquote(urlsplit(message.log_uri).path)) if message.log_uri else None,
+        log_path=log_path,
     )
 
 

@@ -14,6 +14,7 @@ from defgrasp_ros.evaluation import (
     EvaluationOptions,
     Experiment,
     GraspEvaluation,
+    GraspSample,
     Phase,
     Progress,
 )
@@ -123,6 +124,12 @@ class GraspBatch:
         candidate.evaluation.wall_time = time.monotonic() - self._started
         candidate.reported = True
         self.observer.on_evaluation(candidate.evaluation)
+        if not self.options.return_fields:
+            candidate.evaluation = candidate.evaluation.without_fields()
+
+    def keeps_fields(self) -> bool:
+        """Whether somebody wants the fields over the mesh."""
+        return self.options.return_fields or self.observer.wants_fields()
 
     def interrupted(self) -> Failure | None:
         """Return why the run has to end now; None: it may go on."""
@@ -152,16 +159,17 @@ class GraspBatch:
             candidates: The grasp in each world; None: those of the pickup.
             directions: Of an experiment with several: which one each world is, shape ``(n,)``.
         """
+        known = None
         if candidates is None:
             going = np.flatnonzero([not candidate.finished for candidate in self.of(worlds)])
             worlds, closing_force, candidates = worlds[going], closing_force[going], self.of(worlds[going])
-            self._record(worlds, closing_force)
-        self._sampler.sample(self.time, self.experiment, worlds, candidates, closing_force, directions)
+            known = self._record(worlds, closing_force)
+        self._sampler.sample(self.time, self.experiment, worlds, candidates, closing_force, directions, known)
 
-    def _record(self, worlds: np.ndarray, closing_force: np.ndarray) -> None:
-        """Add the present state to the pickups' courses, once per interval, whatever the observer wants."""
+    def _record(self, worlds: np.ndarray, closing_force: np.ndarray) -> list[GraspSample] | None:
+        """Add the present state to the pickups' courses, once per interval, whatever the observer wants; return it."""
         if not len(worlds) or not self._record_due.is_due(self.time):
-            return
+            return None
         self._record_due.done(self.time)
         candidates, positions = self.of(worlds), self.simulator.positions(worlds)
         stress, _ = self.simulator.point_stresses(worlds)
@@ -170,6 +178,7 @@ class GraspBatch:
         for row, (candidate, sample) in enumerate(zip(candidates, samples, strict=True)):
             slip = candidate.slip(positions[row], candidate.gripped_positions)
             candidate.course.add(sample, candidate.time, slip, largest_stress[row])
+        return samples
 
 
 def no_solution(report: StepReport, row: int, now: float) -> str:

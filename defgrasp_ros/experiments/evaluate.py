@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from defgrasp_ros.errors import EmptyGraspListError
+from defgrasp_ros.errors import CanceledError, EmptyGraspListError, ResultCode
 from defgrasp_ros.evaluation import EvaluationObserver, EvaluationOptions, Experiment, GraspEvaluation, Phase, Progress
 from defgrasp_ros.experiments.acceleration import ANGULAR, LINEAR, AccelerationTest, frozen_without_gravity
 from defgrasp_ros.experiments.batch import GraspBatch, Run, chunks
@@ -23,6 +23,7 @@ from defgrasp_ros.gripper import Gripper
 from defgrasp_ros.object_model import ObjectModel
 from defgrasp_ros.simulation.memory import worlds_that_fit
 from defgrasp_ros.simulation.simulator import Simulator, find_device
+from defgrasp_ros.stop_signal import StopSignal
 
 MAX_BATCH = {"cpu": 64, "cuda": 1024}
 """Grasps simulated together at most, by kind of device; more run in further batches. On a processor a batch of 50 costs
@@ -38,7 +39,7 @@ def evaluate_grasps(
     options: EvaluationOptions,
     device: str = "cpu",
     observer: EvaluationObserver | None = None,
-    time_limit: float | None = None,
+    stop: StopSignal | None = None,
 ) -> list[GraspEvaluation]:
     """Run the experiments of ``options.experiments`` for every grasp.
 
@@ -49,25 +50,24 @@ def evaluate_grasps(
         options: What to do, and the constants of the protocol.
         device: Warp device, ``"cpu"`` or ``"cuda:0"``.
         observer: Is told about progress, samples and results while the simulation runs.
-        time_limit: Wall time after which the run ends [s]; grasps that are not finished come back with the code
-            TIMEOUT. None: no limit. It is looked at before every time step of all grasps.
+        stop: Ends the run on demand or at its time limit, from any thread. It is looked at before every time step of
+            all grasps, also while the object settles.
 
     Returns:
-        One evaluation per grasp, in their order. What went wrong with a grasp is in its code and message.
+        One evaluation per grasp, in their order. What went wrong with a grasp is in its code and message; those that
+        were not finished when the run was stopped have its code.
 
     Raises:
         EmptyGraspListError: If there is no grasp.
-        InvalidOptionsError: If the time limit is no positive number.
         NotFoundError: If there is no such device.
         ResourceExhaustedError: If it has not enough free memory for a single world.
         InvalidMeshError: If the mesh has no usable stiffness.
         SolverDivergedError: If the object alone finds no rest on the platform.
-        CanceledError: If the observer wants the run to end before the object has come to rest.
     """
     if not grasps:
         raise EmptyGraspListError("grasps is empty: give at least one grasp")
     observer = observer or EvaluationObserver()
-    interruption = Interruption(observer, time_limit)
+    interruption = Interruption(observer, stop or StopSignal())
     kind = "cuda" if find_device(device).is_cuda else "cpu"
     room = worlds_that_fit(object_model, find_device(device))
     batches = chunks(range(len(grasps)), min(MAX_BATCH[kind], room))
@@ -76,7 +76,10 @@ def evaluate_grasps(
         world_count = min(MAX_WORLDS[kind], DIRECTION_COUNT * world_count, room)
     simulator = Simulator(object_model, gripper, world_count, device)
     observer.on_progress(Progress(Phase.SETTLE, 0.0, 0.0, len(grasps), len(grasps)))
-    settled = settle(simulator, 0, options.time_step, observer.should_stop)
+    try:
+        settled = settle(simulator, 0, options.time_step, lambda: interruption.reason() is not None)
+    except CanceledError as error:
+        return _not_begun(grasps, f"{error}: {interruption.reason().message}", interruption.reason().code, observer)
     recovery = StressRecovery(object_model.mesh)
     run = Run(simulator, settled, options, observer, interruption, recovery, len(grasps))
     evaluations: list[GraspEvaluation] = []
@@ -87,6 +90,16 @@ def evaluate_grasps(
         evaluations += _run(batch)
         start = batch.time
     observer.on_progress(Progress(Phase.DONE, 1.0, start, 0, len(grasps)))
+    return evaluations
+
+
+def _not_begun(
+    grasps: Sequence[Grasp], message: str, code: ResultCode, observer: EvaluationObserver
+) -> list[GraspEvaluation]:
+    """Report every grasp of a run that was stopped before its first."""
+    evaluations = [GraspEvaluation(i, grasp.id or str(i), code, message) for i, grasp in enumerate(grasps)]
+    for evaluation in evaluations:
+        observer.on_evaluation(evaluation)
     return evaluations
 
 
@@ -110,6 +123,6 @@ def _run(batch: GraspBatch) -> list[GraspEvaluation]:
         if not candidate.reported:
             why = batch.interrupted()
             if why and candidate.picked_up:
-                candidate.end(why.code, f"{candidate.evaluation.message}; {why.message} before all was done")
+                candidate.end(why.code, f"{candidate.evaluation.message}; ended before all was done: {why.message}")
             batch.report(candidate)
     return [candidate.evaluation for candidate in batch.candidates]

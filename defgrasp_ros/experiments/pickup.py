@@ -67,7 +67,7 @@ class Pickup:
         for candidate in self.batch.candidates:
             if not candidate.finished:
                 why = self.batch.interrupted()
-                self.batch.finish(candidate, why.code, f"{why.message} before this grasp was finished")
+                self.batch.finish(candidate, why.code, f"ended before this grasp was finished: {why.message}")
 
     # --- phases -------------------------------------------------------------------------------------------------
 
@@ -101,7 +101,7 @@ class Pickup:
     def _check_reach(self, candidate: Candidate) -> None:
         """End a grasp that the gripper cannot do: too much force, or no room for the open fingers."""
         gripper, positions = self.gripper, self.settled.state.positions
-        if self.options.return_fields:
+        if self.batch.keeps_fields():
             candidate.evaluation.fields["pre_contact"] = self.settled.state
         if candidate.target_force > gripper.max_force:
             asked, limit = candidate.target_force, gripper.max_force
@@ -287,7 +287,7 @@ class Pickup:
             candidate.opening_at_contact,
             UP,
         )
-        if self.options.return_fields:
+        if self.batch.keeps_fields():
             candidate.evaluation.fields["at_target_force"] = state
         pads = forces.body < len(FINGER_NAMES)
         candidate.gripped_nodes = np.unique(forces.nodes[pads][forces.weights[pads] > 0.0])
@@ -309,7 +309,7 @@ class Pickup:
         candidate.evaluation.deformation_error = error.deformation * metrics.max_deformation
         candidate.evaluation.slip_distance = candidate.slip(state.positions, candidate.lifted_positions)
         candidate.evaluation.contacts, candidate.evaluation.palm_force = forces.fingers(), forces.force(PALM)
-        if self.options.return_fields:
+        if self.batch.keeps_fields():
             candidate.evaluation.fields["post_pickup"] = state
         self.batch.finish(candidate, ResultCode.OK, message)
 

@@ -166,8 +166,8 @@ class Reorientation:
             result.max_deformation_from_lifted[axis, turn] = deformation(lifted, state.positions, volumes).max()
             result.max_von_mises_stress[axis, turn] = state.von_mises_stress.max()
             result.strain_energy[axis, turn] = energies[place].sum()
-            if self.batch.options.return_fields:
-                result.states[axis, turn] = state
+            if self.batch.keeps_fields():
+                result.states[axis, turn] = state.in_single_precision()
 
     # --- stepping -----------------------------------------------------------------------------------------------
 

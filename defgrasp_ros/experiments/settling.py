@@ -67,7 +67,7 @@ def settle(
     shape = mesh.vertices
     for count in range(1, SETTLE_STEPS + 1):
         if should_stop():
-            raise CanceledError("canceled before the object had come to rest")
+            raise CanceledError("ended before the object had come to rest")
         report = simulator.step(here, step_length, np.zeros(1), np.array([height]), quasi_static=True)
         if not report.converged.all():
             raise SolverDivergedError(

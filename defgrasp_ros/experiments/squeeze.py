@@ -68,5 +68,5 @@ class FreeSqueeze:
         result.max_von_mises_stress[sample] = state.von_mises_stress.max()
         result.strain_energy[sample] = energy[0].sum()
         result.contacts.append(simulator.contact_forces(here)[0].fingers())
-        if self.batch.options.return_fields:
-            result.states.append(state)
+        if self.batch.keeps_fields():
+            result.states.append(state.in_single_precision())

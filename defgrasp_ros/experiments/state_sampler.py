@@ -47,6 +47,7 @@ class StateSampler:
         candidates: Sequence[Candidate],
         closing_force: np.ndarray,
         directions: np.ndarray | None,
+        known: list[GraspSample] | None = None,
     ) -> None:
         """Show the observer the worlds of the direction that it follows, if the interval is over and it wants to see.
 
@@ -57,6 +58,7 @@ class StateSampler:
             candidates: The grasp in each world.
             closing_force: Of the drive [N], shape ``(n,)``.
             directions: Which direction each world is, shape ``(n,)``; None: the experiment has none.
+            known: The present state of all these worlds, where it was read already; else it is read if it is wanted.
         """
         followed = np.arange(len(worlds))
         direction = None
@@ -66,10 +68,10 @@ class StateSampler:
         if not len(followed) or not self._due.is_due(time) or not self._observer.wants_samples():
             return
         self._due.done(time)
-        chosen = [candidates[row] for row in followed]
-        self._observer.on_samples(
-            self.read(time, experiment, worlds[followed], chosen, closing_force[followed], direction)
-        )
+        if known is None:
+            chosen = [candidates[row] for row in followed]
+            known = self.read(time, experiment, worlds[followed], chosen, closing_force[followed], direction)
+        self._observer.on_samples(known)
 
     def read(
         self,

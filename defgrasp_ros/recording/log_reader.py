@@ -19,7 +19,7 @@ from mcap.writer import MCAP0_MAGIC
 from mcap_ros2.decoder import DecoderFactory
 from zstandard import ZstdError
 
-from defgrasp_ros.errors import RecordingError
+from defgrasp_ros.errors import NotFoundError, RecordingError
 from defgrasp_ros.recording.attachments import Attachment
 from defgrasp_ros.recording.bag_writer import METADATA_NAME, STATISTICS_NAME
 
@@ -72,8 +72,8 @@ class LogReader:
         path: The MCAP file, or the bag folder that holds it.
 
     Raises:
-        RecordingError: If there is no such file, or not one in the folder; while iterating, if it is no MCAP log of
-            ROS messages, or damaged.
+        NotFoundError: If there is no such file, or none in the folder.
+        RecordingError: If there are several; while iterating, if it is no MCAP log of ROS messages, or damaged.
     """
 
     def __init__(self, path: Path) -> None:
@@ -171,15 +171,18 @@ def mcap_file(path: Path) -> Path:
     """Return the MCAP file of a log, given by itself or by its bag folder.
 
     Raises:
-        RecordingError: If there is none, or more than one.
+        NotFoundError: If there is none.
+        RecordingError: If there is more than one.
     """
     if not path.exists():
-        raise RecordingError(f"there is no log {path}")
+        raise NotFoundError(f"there is no log {path}; give the bag folder of a run, or the .mcap file in it")
     if not path.is_dir():
         return path
     files = sorted(path.glob("*.mcap"))
-    if len(files) != 1:
-        raise RecordingError(f"{path} holds {len(files)} .mcap files, expected one; name the file")
+    if not files:
+        raise NotFoundError(f"the folder {path} holds no .mcap file; give the bag folder of one run")
+    if len(files) > 1:
+        raise RecordingError(f"the folder {path} holds {len(files)} .mcap files; name one of them")
     return files[0]
 
 

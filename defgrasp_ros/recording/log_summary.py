@@ -100,6 +100,7 @@ def summarize_log(path: Path) -> LogSummary:
     """Read a log, given as file or bag folder, up to its last complete record.
 
     Raises:
+        NotFoundError: If there is no such log.
         RecordingError: If it cannot be read, or is no MCAP log of ROS messages.
     """
     reader = LogReader(path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ class LoggedMessage:
     publish_time: int
     """The time that it is about [ns]: start of the run plus simulated time."""
     message: Any
-    """The decoded message, with the fields of its definition as attributes."""
+    """The decoded message, with the fields of its definition as attributes; or what it was converted to."""
 
 
 @dataclass
@@ -42,26 +43,26 @@ class LoggedRun:
         return [entry.message for entry in self.messages if entry.topic == topic or entry.topic.endswith(f"/{topic}")]
 
 
-def read_log(path: Path, *topics: str) -> LoggedRun:
+def read_log(path: Path, *topics: str, convert: Mapping[str, Callable[[Any], Any]] | None = None) -> LoggedRun:
     """Read an MCAP file up to its last complete record.
 
     Args:
         path: The MCAP file, or the bag folder that holds it.
         topics: Topics of interest, by their full names or the last part of them; none: all.
+        convert: What is kept instead of the messages of a topic, by the last part of its name. A decoded message holds
+            numbers in lists, eight times as large as in the file.
 
     Raises:
-        RecordingError: If there is no such file, or if it is no MCAP log of ROS messages.
+        NotFoundError: If there is no such file.
+        RecordingError: If it is no MCAP log of ROS messages.
     """
     reader = LogReader(path)
-    messages = [
-        LoggedMessage(
-            message.topic.name,
-            message.topic.type_name,
-            message.log_time,
-            message.publish_time,
-            reader.decode(message),
-        )
-        for message in reader
-        if not topics or any(map(message.topic.matches, topics))
-    ]
+    messages = []
+    for raw in reader:
+        topic = raw.topic
+        if not topics or any(map(topic.matches, topics)):
+            message = reader.decode(raw)
+            if into := convert and convert.get(topic.name.rpartition("/")[2]):
+                message = into(message)
+            messages.append(LoggedMessage(topic.name, topic.type_name, raw.log_time, raw.publish_time, message))
     return LoggedRun(reader.path, messages, reader.provenance, reader.attachments, reader.complete)

@@ -11,7 +11,7 @@ from defgrasp_interfaces.srv import EvaluateGrasp
 from rclpy.task import Future
 
 from defgrasp_ros.errors import ResultCode
-from defgrasp_ros.ros.stop_signal import StopSignal
+from defgrasp_ros.stop_signal import StopSignal
 
 
 class EvaluationJob:

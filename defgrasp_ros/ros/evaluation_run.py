@@ -14,13 +14,11 @@ from defgrasp_interfaces import msg
 from defgrasp_interfaces.srv import EvaluateGrasp
 from rclpy.node import Node
 
-from defgrasp_ros.checks import require_in_range
 from defgrasp_ros.errors import (
     CanceledError,
     DefgraspError,
     EmptyGraspListError,
     InvalidGraspError,
-    InvalidOptionsError,
     ResultCode,
     TooManyGraspsError,
 )
@@ -43,8 +41,8 @@ from defgrasp_ros.ros.request_conversion import grasp_from_message, object_from_
 from defgrasp_ros.ros.result_conversion import evaluation_to_message
 from defgrasp_ros.ros.run_observer import RunObserver
 from defgrasp_ros.ros.status_reporter import StatusReporter
-from defgrasp_ros.ros.stop_signal import StopSignal
 from defgrasp_ros.ros.topics import REQUEST
+from defgrasp_ros.stop_signal import StopSignal
 
 
 @dataclass(frozen=True)
@@ -85,6 +83,8 @@ class EvaluationRun:
         self._parameters = parameters
         self._registry = registry
         self._stop = stop
+        self.log_uri = ""
+        """Where the log is once the run has ended, in whatever way; empty if there is none."""
         self.recording_problem = ""
         """Why there is no complete log; empty where there is one, or none was asked for."""
 
@@ -96,7 +96,8 @@ class EvaluationRun:
         Raises:
             DefgraspError: If the request as a whole is refused, naming field and value.
         """
-        self._stop.limit(require_in_range(InvalidOptionsError, "time_limit", request.time_limit, 0.0, unit="s"))
+        if request.time_limit:
+            self._stop.limit(request.time_limit)
         grasps = check_grasps(request.grasps, self._parameters["max_grasps"])
         gripper = load_gripper(request.gripper or self._parameters["gripper"])
         options = options_from_message(request.options, experiment_defaults(self._parameters))
@@ -116,14 +117,11 @@ class EvaluationRun:
         if request.options.record and self._parameters["record.enabled"]:
             self._start_log(object_model, gripper, options)
         try:
-            response = self._simulate(request, object_model, grasps, gripper, options)
+            return self._simulate(request, object_model, grasps, gripper, options)
         finally:
             self._status.finishing()
             log_path, self.recording_problem = self._outputs.end_log()
-        response.log_uri = log_path.as_uri() if log_path else ""
-        if self.recording_problem:
-            response.result.message += f"; {self.recording_problem}"
-        return response
+            self.log_uri = log_path.as_uri() if log_path else ""
 
     def _start_log(self, object_model: ObjectModel, gripper: Gripper, options: EvaluationOptions) -> None:
         mesh, parameters = object_model.mesh, self._parameters
@@ -155,16 +153,14 @@ class EvaluationRun:
             object_model.mesh,
             gripper,
             self._parameters,
+            return_fields=options.return_fields,
             start_time=start_time,
-            stop=self._stop,
         )
         for evaluation in grasps.refused:
             observer.send_evaluation(evaluation)
         device = self._parameters["device"]
         try:
-            evaluate_grasps(object_model, list(grasps.valid.values()), gripper, options, device, observer)
-        except CanceledError:
-            return full_answer(request, self._stop.code, self._stop.reason, observer.messages)
+            evaluate_grasps(object_model, list(grasps.valid.values()), gripper, options, device, observer, self._stop)
         except Exception as error:
             if not observer.messages:
                 raise

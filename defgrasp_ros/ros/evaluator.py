@@ -54,6 +54,9 @@ class Evaluator:
                 self._node.get_logger().error(f"run {run.id} failed:\n{traceback.format_exc()}")
             code, text = failure(error)
             response = EvaluateGrasp.Response(result=Result(code=code, message=text))
+        response.log_uri = run.log_uri
+        if run.recording_problem:
+            response.result.message += f"; {run.recording_problem}"
         self.rest()
         self._note(run, response, time.monotonic() - start)
         return response

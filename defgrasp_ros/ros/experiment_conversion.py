@@ -64,15 +64,14 @@ def acceleration_from_message(message: msg.AccelerationResult) -> AccelerationRe
     )
 
 
-def reorientation_to_message(result: ReorientationResult, *, with_fields: bool = True) -> msg.ReorientationResult:
-    """Return the message of a reorientation, with or without its fields over the mesh."""
-    states = result.states.items() if with_fields else ()
+def reorientation_to_message(result: ReorientationResult) -> msg.ReorientationResult:
+    """Return the message of a reorientation."""
     return msg.ReorientationResult(
         closing_force=float(result.closing_force),
         reasons=result.reasons,
         states=[
             msg.ReorientationState(axis=axis, turn=turn, field=field_to_message(Experiment.REORIENTATION, state))
-            for (axis, turn), state in states
+            for (axis, turn), state in result.states.items()
         ],
         **_flat_fields(result, ("directions", *TURNED)),
     )
@@ -90,12 +89,11 @@ def reorientation_from_message(message: msg.ReorientationResult) -> Reorientatio
     )
 
 
-def squeeze_to_message(result: SqueezeResult, *, with_fields: bool = True) -> msg.SqueezeResult:
-    """Return the message of a squeeze, with or without its fields over the mesh."""
-    states = result.states if with_fields else ()
+def squeeze_to_message(result: SqueezeResult) -> msg.SqueezeResult:
+    """Return the message of a squeeze."""
     return msg.SqueezeResult(
         contacts=[contact_to_message(contact) for fingers in result.contacts for contact in fingers],
-        states=[field_to_message(Experiment.SQUEEZE, state) for state in states],
+        states=[field_to_message(Experiment.SQUEEZE, state) for state in result.states],
         reason=result.reason,
         **_flat_fields(result, SQUEEZED),
     )

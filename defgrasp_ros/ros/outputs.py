@@ -95,7 +95,11 @@ class Outputs:
     def wanted(self, topic: Topic) -> bool:
         """Whether somebody listens to a topic, or the log does."""
         is_heard = topic in self._publishers and self._publishers[topic].get_subscription_count() > 0
-        return is_heard or topic in self._logged
+        return is_heard or self.is_logged(topic)
+
+    def is_logged(self, topic: Topic) -> bool:
+        """Whether the log of the present run takes the messages of a topic."""
+        return topic in self._logged
 
     def send(self, topic: Topic, message: object, time: int) -> None:
         """Publish a message and log it.

@@ -51,6 +51,7 @@ class Player:
         with_clock: Whether the log time is published on ``/clock``; a clock in the log itself is then left out.
 
     Raises:
+        NotFoundError: If there is no such log.
         RecordingError: If the log cannot be read, or if nothing of it can be replayed.
         InvalidOptionsError: If the log has no topic of a name.
     """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import TypeVar
 
 from builtin_interfaces.msg import Time
@@ -52,13 +51,12 @@ NUMBERS = (
 """Fields of an evaluation that are plain numbers."""
 
 
-def evaluation_to_message(evaluation: GraspEvaluation, stamp: Time, *, with_fields: bool = True) -> msg.GraspEvaluation:
+def evaluation_to_message(evaluation: GraspEvaluation, stamp: Time) -> msg.GraspEvaluation:
     """Return the message of an evaluation.
 
     Args:
         evaluation: Result of one grasp.
         stamp: Start of the run plus simulated time.
-        with_fields: Whether to copy the fields over the mesh, too.
     """
     message = msg.GraspEvaluation(
         grasp_id=evaluation.grasp_id,
@@ -69,12 +67,12 @@ def evaluation_to_message(evaluation: GraspEvaluation, stamp: Time, *, with_fiel
         contacts=[contact_to_message(contact) for contact in evaluation.contacts or ()],
         palm_force=vector_message(evaluation.palm_force),
         solver=fill(msg.SolverReport(), evaluation.solver),
-        fields=[field_to_message(*item) for item in evaluation.fields.items()] if with_fields else [],
+        fields=[field_to_message(*item) for item in evaluation.fields.items()],
         pickup=_list(evaluation.pickup, pickup_to_message),
-        reorientation=_list(evaluation.reorientation, partial(reorientation_to_message, with_fields=with_fields)),
+        reorientation=_list(evaluation.reorientation, reorientation_to_message),
         linear_acceleration=_list(evaluation.linear_acceleration, acceleration_to_message),
         angular_acceleration=_list(evaluation.angular_acceleration, acceleration_to_message),
-        squeeze=_list(evaluation.squeeze, partial(squeeze_to_message, with_fields=with_fields)),
+        squeeze=_list(evaluation.squeeze, squeeze_to_message),
         **{name: float(getattr(evaluation, name)) for name in NUMBERS},
     )
     message.header.stamp = stamp

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from defgrasp_interfaces import msg
 from rosgraph_msgs.msg import Clock
 
-from defgrasp_ros.errors import ResultCode
 from defgrasp_ros.evaluation import EvaluationObserver, GraspEvaluation, GraspSample, Progress
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.gripper import Gripper
@@ -22,7 +21,6 @@ from defgrasp_ros.ros.robot_description import send_robot_description
 from defgrasp_ros.ros.shown_grasp import ShownGrasp
 from defgrasp_ros.ros.state_conversion import sample_to_contact_state
 from defgrasp_ros.ros.status_reporter import StatusReporter
-from defgrasp_ros.ros.stop_signal import StopSignal
 from defgrasp_ros.ros.topics import ALL_JOINT_STATES, CLOCK, CONTACTS, EVALUATIONS, SAMPLED
 
 
@@ -36,8 +34,8 @@ class RunObserver(EvaluationObserver):
         mesh: Of the object.
         gripper: Of all grasps.
         parameters: Values of the node's parameters, of which those below ``publish`` count here.
+        return_fields: Whether the answer has fields over the mesh; what is published never has, the log always.
         start_time: The node's clock at the start of the run [ns]; stamps are this plus simulated time.
-        stop: Ends the run early when set.
     """
 
     def __init__(
@@ -48,8 +46,9 @@ class RunObserver(EvaluationObserver):
         mesh: TetMesh,
         gripper: Gripper,
         parameters: Mapping,
+        *,
+        return_fields: bool,
         start_time: int,
-        stop: StopSignal,
     ) -> None:
         self.sample_interval = 1.0 / parameters["publish.sample_rate"]
         self.sample_direction = parameters["publish.direction"]
@@ -58,10 +57,10 @@ class RunObserver(EvaluationObserver):
         self._identities = [{"grasp_index": index, "grasp_id": grasp.id} for index, grasp in grasps.items()]
         self._gripper = gripper
         self._shown = ShownGrasp(outputs, mesh, gripper, parameters)
+        self._return_fields = return_fields
         self._start_time = start_time
-        self._stop = stop
         self.messages: dict[int, msg.GraspEvaluation] = {}
-        """The evaluations so far, with fields over the mesh, by index in the request."""
+        """The evaluations so far, as the answer has them, by index in the request."""
         send_robot_description(outputs, gripper, start_time)
 
     def on_progress(self, progress: Progress) -> None:
@@ -84,37 +83,23 @@ class RunObserver(EvaluationObserver):
                 self._outputs.send(CONTACTS, sample_to_contact_state(sample, stamp), time)
         self._shown.send(samples, time)
 
+    def wants_fields(self) -> bool:
+        return self._outputs.is_logged(EVALUATIONS)
+
     def on_evaluation(self, evaluation: GraspEvaluation) -> None:
-        evaluation = self.in_request(evaluation)
+        evaluation = dataclasses.replace(evaluation, **self._identities[evaluation.grasp_index])
         self._shown.finish(evaluation.grasp_index)
         self.send_evaluation(evaluation)
 
-    def should_stop(self) -> bool:
-        return self._stop.is_set()
-
-    def in_request(self, evaluation: GraspEvaluation) -> GraspEvaluation:
-        """Return an evaluation with the index and the id that its grasp has in the request.
-
-        One that ended early gets code and reason of what ended the run.
-        """
-        evaluation = dataclasses.replace(evaluation, **self._identities[evaluation.grasp_index])
-        if evaluation.code == ResultCode.CANCELED:
-            text = f"{evaluation.message}: {self._stop.reason}"
-            evaluation = dataclasses.replace(evaluation, code=self._stop.code, message=text)
-        return evaluation
-
     def send_evaluation(self, evaluation: GraspEvaluation) -> None:
-        """Publish an evaluation that has its index in the request; the log gets it with its fields over the mesh."""
-        without_fields = self.message(evaluation, with_fields=False)
+        """Publish an evaluation that has its index in the request, log it, and keep it for the answer."""
+        time = self._time(evaluation.end_time)
+        without_fields = evaluation_to_message(evaluation.without_fields(), time_message(time))
+        complete = evaluation_to_message(evaluation, time_message(time))
         self._outputs.publish(EVALUATIONS, without_fields)
-        message = self.messages[evaluation.grasp_index] = self.message(evaluation)
-        self._outputs.log(EVALUATIONS, message, self._time(evaluation.end_time))
+        self._outputs.log(EVALUATIONS, complete, time)
+        self.messages[evaluation.grasp_index] = complete if self._return_fields else without_fields
         self._status.finished(without_fields)
-
-    def message(self, evaluation: GraspEvaluation, *, with_fields: bool = True) -> msg.GraspEvaluation:
-        """Return the message of an evaluation, stamped with the time at which it ended."""
-        stamp = time_message(self._time(evaluation.end_time))
-        return evaluation_to_message(evaluation, stamp, with_fields=with_fields)
 
     def _time(self, simulated_time: float) -> int:
         return self._start_time + round(simulated_time * NANOSECONDS)

@@ -50,8 +50,8 @@ def field_to_message(stage: str, state: DeformedState) -> msg.ObjectField:
 def field_from_message(message: msg.ObjectField) -> DeformedState:
     """Return shape and stress of a message."""
     return DeformedState(
-        positions=rows(message.positions, 3),
-        von_mises_stress=np.asarray(message.von_mises_stress),
+        positions=rows(message.positions, 3).astype(np.float32, copy=False),
+        von_mises_stress=np.asarray(message.von_mises_stress, dtype=np.float32),
         opening=message.opening,
     )
 

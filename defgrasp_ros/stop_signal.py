@@ -1,4 +1,4 @@
-"""Why a run should end before it is done, if it should."""
+"""Why a run should end before it is done, if it should; the one place that knows its time limit."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import math
 import time
 from threading import Lock
 
-from defgrasp_ros.errors import ResultCode
+from defgrasp_ros.checks import require_in_range
+from defgrasp_ros.errors import InvalidOptionsError, ResultCode
 
 
 class StopSignal:
@@ -31,15 +32,18 @@ class StopSignal:
                 self._code, self._reason = code, reason
 
     def limit(self, seconds: float) -> None:
-        """End the run with TIMEOUT after a wall time from now on [s]; 0: never."""
-        if seconds > 0.0:
-            self._time_limit = seconds
-            self._deadline = time.monotonic() + seconds
+        """End the run with TIMEOUT after a wall time from now on [s].
+
+        Raises:
+            InvalidOptionsError: If it is no positive number.
+        """
+        self._time_limit = require_in_range(InvalidOptionsError, "time_limit", seconds, 0.0, low_open=True, unit="s")
+        self._deadline = time.monotonic() + seconds
 
     def is_set(self) -> bool:
         """Whether the run should end now."""
         if time.monotonic() >= self._deadline:
-            self.set(ResultCode.TIMEOUT, f"time_limit = {self._time_limit:g} s is over")
+            self.set(ResultCode.TIMEOUT, f"stopped at the time limit of {self._time_limit:g} s")
         return self._code is not None
 
     @property
