@@ -193,7 +193,9 @@ class AccelerationTest:
                 run = runs[i]
                 run.candidate.count_step(report, row, self.h)
                 lost = now[row] <= thresholds[i]
-                if not report.converged[row]:
+                if report.crushed[row]:
+                    run.at_loss, run.is_lower_bound = last, True
+                elif not report.converged[row]:
                     run.reason = no_solution(report, row, self.batch.time)
                 elif lost.any():
                     finger = int(np.argmin(now[row]))

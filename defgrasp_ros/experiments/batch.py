@@ -106,7 +106,7 @@ class GraspBatch:
         for row, candidate in enumerate(self.of(worlds)):
             candidate.time += h
             candidate.count_step(report, row, h)
-            if not report.converged[row]:
+            if not report.usable[row]:
                 self.finish(candidate, ResultCode.SOLVER_DIVERGED, no_solution(report, row, self.time))
 
     def finish(self, candidate: Candidate, code: ResultCode, message: str) -> None:
@@ -182,7 +182,12 @@ class GraspBatch:
 
 
 def no_solution(report: StepReport, row: int, now: float) -> str:
-    """Return the text for a world whose step found no solution."""
+    """Return the text for a world whose step found no solution, or one without meaning."""
+    if report.converged[row]:
+        return (
+            f"elements turned inside out at {now:.3f} s: the load crushes or tears the object, beyond what a linear "
+            "material describes"
+        )
     return f"no solution of the time step at {now:.3f} s: residual {report.residual[row]:.2g} of the force scale"
 
 

@@ -65,7 +65,7 @@ def ramp_closing_force(
             candidate.count_step(report, row, h)
             touching = (pads[row] > candidate.touching_force).all()
             reached = abs(pads[row].sum() - end[i]) < FORCE_TOLERANCE * end[i]
-            if not report.converged[row]:
+            if not report.usable[row]:
                 outcome[i] = Failure(ResultCode.SOLVER_DIVERGED, no_solution(report, row, batch.time))
             elif openings[row] <= 0.0:
                 outcome[i] = Failure(ResultCode.FORCE_NOT_REACHED, "the object was squeezed out from between the pads")

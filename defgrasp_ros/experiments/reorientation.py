@@ -204,7 +204,7 @@ class Reorientation:
         failures = {}
         for row, candidate in enumerate(candidates):
             candidate.count_step(report, row, h)
-            if not report.converged[row]:
+            if not report.usable[row]:
                 failures[row] = Failure(ResultCode.SOLVER_DIVERGED, no_solution(report, row, self.batch.time))
             elif not candidate.touching(normal[row]).all():
                 failures[row] = Failure(ResultCode.DROPPED, "the object slipped out of the hand")

@@ -74,6 +74,11 @@ def settle(
                 f"the object does not settle on the platform: residual {report.residual[0]:.2g} of its weight "
                 f"in step {count}; look for slivers in the mesh, or mesh it again"
             )
+        if report.crushed.any():
+            raise SolverDivergedError(
+                f"the object collapses under its own weight: elements turn inside out in step {count} of settling; "
+                f"youngs_modulus = {simulator.model.material.youngs_modulus:g} Pa is too small for its size and density"
+            )
         last, shape = shape, simulator.positions(here)[0]
         if deformation(last, shape, mesh.node_volumes).max() < SETTLED_CHANGE * mesh.size:
             break

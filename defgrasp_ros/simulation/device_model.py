@@ -37,6 +37,8 @@ class DeviceModel:
         """Mean edge of the surface [m]."""
         self.size = mesh.size
         """Of the object [m]."""
+        self.volume = float(mesh.volumes.sum())
+        """Of the object [m^3]."""
 
         self.vertices = wp.array(mesh.vertices, dtype=vec3d, device=device)
         self.elements = wp.array(mesh.elements, dtype=int, device=device)

@@ -167,10 +167,11 @@ class ElementKernels:
 
     forces: wp.Kernel
     stresses: wp.Kernel
+    inversions: wp.Kernel
 
     def load(self, device: wp.Device) -> None:
         """Compile them now: threads that launch a kernel for the first time at once would all compile it."""
-        for kernel in (self.forces, self.stresses):
+        for kernel in (self.forces, self.stresses, self.inversions):
             kernel.module.load(device)
 
 
@@ -266,4 +267,30 @@ def element_kernels(order: int) -> ElementKernels:
             stress_out[i, wp.static(points) * t + q] = stress
         energy_density_out[i, t] = density
 
-    return ElementKernels(element_forces, element_stresses)
+    @wp.kernel(module="unique", enable_backward=False)
+    def element_inversions(
+        # Model:
+        elements: wp.array2d[int],  # (tet, node of the element)
+        gradients: wp.array[mat43d],  # (tet,) of the barycentric coordinates [1/m]
+        volumes: wp.array[wp.float64],  # (tet,) [m^3]
+        # State in:
+        worlds: wp.array[int],  # (row,)
+        displacement: wp.array2d[vec3d],  # (world, node) [m]
+        # Out:
+        volume_out: wp.array[wp.float64],  # (row,) [m^3]
+    ):
+        """Volume of the elements that are turned inside out at one of their points."""
+        i = wp.tid()
+        total = wp.float64(0.0)
+        for t in range(elements.shape[0]):
+            u = displacements(elements, displacement, worlds[i], t)
+            inverted = int(0)
+            for q in range(wp.static(points)):
+                f = wp.identity(n=3, dtype=wp.float64) + wp.static(gradients_at[q])(u, gradients[t])
+                if wp.determinant(f) <= wp.float64(0.0):
+                    inverted = 1
+            if inverted == 1:
+                total += volumes[t]
+        volume_out[i] = total
+
+    return ElementKernels(element_forces, element_stresses, element_inversions)

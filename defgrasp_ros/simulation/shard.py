@@ -104,6 +104,7 @@ class Shard:
             report.iterations[good] += part.iterations
             report.contact_fallbacks[good] += part.contact_fallbacks
             report.residual[good] = np.maximum(report.residual[good], part.residual)
+            report.crushed[good] = part.crushed
         lost = ~report.converged[failed]
         for array, values in zip(self.state.motion, before, strict=True):
             set_entries(array, worlds[failed[lost]], values[lost])

@@ -47,6 +47,8 @@ MAX_STALLED = 8
 RESTART_GROWTH = 2.0
 """Growth of the residual in an iteration at which the acceleration starts anew [-], unless it has just begun: where the
 plain iteration diverges, it must be let go on until it knows the modes that grow."""
+MAX_INVERTED_SHARE = 1e-3
+"""Part of a body's volume that may be turned inside out [-]: a sliver of the mesh or two, which hold next to nothing."""
 MAX_SEARCHES = 5
 """How often a solved step may find contacts that it overlooked before it counts as failed."""
 
@@ -63,6 +65,13 @@ class StepReport:
     """How often the step was divided."""
     contact_fallbacks: np.ndarray
     """Contact problems that needed more than their first method."""
+    crushed: np.ndarray
+    """Whether elements have turned inside out, so that the solution has no meaning."""
+
+    @property
+    def usable(self) -> np.ndarray:
+        """Whether there is a solution, and it has a meaning."""
+        return self.converged & ~self.crushed
 
     @classmethod
     def empty(cls, count: int) -> StepReport:
@@ -73,6 +82,7 @@ class StepReport:
             residual=np.full(count, np.inf),
             cuts=np.zeros(count, dtype=int),
             contact_fallbacks=np.zeros(count, dtype=int),
+            crushed=np.zeros(count, dtype=bool),
         )
 
     def put(self, places: np.ndarray, part: StepReport) -> None:
@@ -170,6 +180,7 @@ class Stepper:
             report.contact_fallbacks[active] += self._correct(rows, shared, force_scale[active] * reduction)
 
         self._accept(worlds[report.converged], h, quasi_static)
+        report.crushed = self._are_crushed(worlds)
         self._stand_still(worlds[report.converged & (report.iterations == 0)])
         self._go_back(worlds[~report.converged])
         return report
@@ -285,6 +296,13 @@ class Stepper:
         """Forget the trends of worlds that needed no iteration: nothing else would end a drift below the tolerance."""
         set_entries(self._state.trend, worlds, 0.0)
         set_entries(self._contacts.lists.trend, worlds, 0.0)
+
+    def _are_crushed(self, worlds: np.ndarray) -> np.ndarray:
+        """Return which worlds have more than a few elements turned inside out."""
+        model, volume = self._model, wp.empty(len(worlds), dtype=wp.float64, device=self._device)
+        inputs = [model.elements, model.gradients, model.volumes, self._rows(worlds), self._state.start_displacement]
+        self._launch(model.kernels.inversions, len(worlds), inputs, [volume])
+        return volume.numpy() > MAX_INVERTED_SHARE * model.volume
 
     def _go_back(self, worlds: np.ndarray) -> None:
         """Leave no trace of a step that failed."""
