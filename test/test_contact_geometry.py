@@ -253,6 +253,33 @@ def test_the_palm_carries_what_falls_on_it():
         assert (simulator.positions(WORLD)[0][:, 2].min() > -0.0051) == bool(carried)
 
 
+@pytest.mark.parametrize(("height", "meets"), [(0.002, True), (-0.004, False)])
+def test_a_wall_is_no_contact_surface(height, meets):
+    """What flies in over the edge of a face meets it; what comes in through the wall behind goes on undisturbed.
+
+    ``height`` is that of the block's lower side over the face of the left pad.
+    """
+    block = box((0.01, 0.01, 0.01), (3, 3, 3))
+    simulator = Simulator(ObjectModel("block", block, Material(2e5)), SHARP, 1)
+    simulator.set_gravity(WORLD, np.zeros(3))
+    grasp = Grasp(np.zeros(3), Rotation.identity().as_quat())
+    simulator.place_gripper(WORLD, [grasp], np.array([SHARP.max_opening]), np.array([1.0]))
+    # The left pad's face looks along -y; the block begins 1 mm beside its edge, along x.
+    start = np.array([SHARP.pad_half_width + 0.006, SHARP.max_opening - 0.005 - height, 0.0])
+    velocity = np.array([-0.5, 0.1 if meets else 0.0, 0.0])
+    simulator.set_displacement(WORLD, np.broadcast_to(start, block.vertices.shape))
+    simulator.set_velocity(WORLD, velocity)
+    simulator.freeze_fingers(WORLD)
+    steps, h = 50, 1e-3
+    touched = False
+    for _ in range(steps):
+        assert simulator.step(WORLD, h, np.zeros(1), NO_PLATFORM, quasi_static=False).converged.all()
+        touched |= simulator.normal_forces(WORLD)[0, 0] > 0.0
+    assert touched == meets
+    free = block.vertices + start + steps * h * velocity
+    assert (np.abs(simulator.positions(WORLD)[0] - free).max() < 1e-9) != meets
+
+
 def refined_at_the_edge(extents, edge: float, cell: float) -> TetMesh:
     """A block with cells of that size at x = +-edge and at its faces +-y, growing away from there."""
     away = np.concatenate([[0.0], np.cumsum(cell * 1.6 ** np.arange(20))])

@@ -226,6 +226,44 @@ def test_no_solution_in_a_later_experiment(diverging, phase):
         assert math.isnan(getattr(evaluation.metrics, METRIC_OF[phase]))
 
 
+# --- an object that is crushed or torn ---------------------------------------------------------------------------
+
+
+@pytest.fixture
+def crushing(monkeypatch):
+    """Returns an observer in whose given phase every step turns elements inside out."""
+
+    def follow(phase: Phase) -> PhaseFollower:
+        follower, step = PhaseFollower(), Simulator.step
+
+        def crushing_step(self, *arguments, **options):
+            report = step(self, *arguments, **options)
+            report.crushed[:] |= follower.phase is phase
+            return report
+
+        monkeypatch.setattr(Simulator, "step", crushing_step)
+        return follower
+
+    return follow
+
+
+@pytest.mark.parametrize("phase", [Phase.SQUEEZE, Phase.LOWER_PLATFORM])
+def test_crushed_in_the_pickup(crushing, phase):
+    """The grasp ends with a message that tells it from a solver that fails."""
+    evaluation = evaluate(SHORT, crushing(phase))
+    assert evaluation.code is ResultCode.SOLVER_DIVERGED and evaluation.solver.converged
+    assert "the load crushes or tears the object" in evaluation.message
+    assert missing(evaluation.metrics)
+
+
+def test_torn_by_an_acceleration(crushing):
+    """Contact was kept as long as there was an object: a lower bound, as at the end of the test."""
+    evaluation = evaluate(replace(SHORT, experiments={"linear_acceleration"}), crushing(Phase.ACCELERATE))
+    result = evaluation.linear_acceleration
+    assert evaluation.code is ResultCode.OK and not any(result.reasons)
+    assert result.is_lower_bound.all() and (result.at_loss < SHORT.max_linear_acceleration).all()
+
+
 # --- an object that is lost after the pickup ---------------------------------------------------------------------
 
 

@@ -192,3 +192,40 @@ def test_a_broken_world_does_not_disturb_its_neighbours():
     assert report.converged.tolist() == [True, False, True]
     np.testing.assert_allclose(batch.positions(worlds)[2], alone.positions(WORLD)[0], atol=1e-9)
     np.testing.assert_array_equal(batch.normal_forces(worlds)[1], forces[1])
+
+
+def test_a_steady_ramp_is_foreseen():
+    """Where the answer is linear in the load, the trend of the last step is the next one's solution, nearly."""
+    block = held_block((0.016, 0.02, 0.016), (3, 4, 3), poissons_ratio=0.0, force=0.01)
+    iterations = []
+    for force in np.linspace(0.01, 0.02, 11)[1:]:
+        # So slowly that inertia has no part in it: the fingers' rate is that of the force.
+        report = block.step(WORLD, STEP, np.array([force]), NO_PLATFORM, quasi_static=True)
+        assert report.converged.all()
+        iterations.append(int(report.iterations[0]))
+    assert max(iterations[3:]) <= 1
+
+
+def test_trends_do_not_outlast_the_load():
+    """A body whose load stops growing rests at once: no drift below the solver's tolerance is carried on."""
+    block = held_block((0.016, 0.02, 0.016), (3, 4, 3), force=0.5)
+    before = block.positions(WORLD)
+    for _ in range(50):
+        assert block.step(WORLD, STEP, np.array([0.5]), NO_PLATFORM, quasi_static=False).converged.all()
+    assert np.abs(block.positions(WORLD) - before).max() < 1e-8
+
+
+@ORDERS
+@pytest.mark.parametrize(("load", "crushed"), [(0.9, False), (1.1, True)])
+def test_a_crushed_block_is_marked(order, load, crushed):
+    """With nu = 0 a block between larger pads has the stretch 1 - F / (2 E A): at F = 2 E A it turns inside out."""
+    width, modulus = 0.016, 2e4
+    force = load * 2.0 * modulus * width**2
+    block = held_block((width, 0.02, width), CELLS[order], youngs_modulus=modulus, poissons_ratio=0.0, order=order)
+    for share in np.linspace(0.0, 1.0, 81)[1:]:
+        closing = np.array([max(1.0, share * force)])
+        report = block.step(WORLD, STEP, closing, NO_PLATFORM, quasi_static=True)
+        if report.crushed.any():
+            break
+        assert report.usable.all()
+    assert report.crushed.all() == crushed and report.usable.all() != crushed
