@@ -283,7 +283,8 @@ class AccelerationResult:
     """Acceleration at which the object began to slide on both fingers as a whole [m/s^2 or rad/s^2]; nan where it did
     not before the loss or the end."""
     is_lower_bound: np.ndarray
-    """Whether contact was kept up to the end of the test, which then stands in ``at_loss``."""
+    """Whether contact was kept up to the end of the test, or until the object was crushed or torn; ``at_loss`` is the
+    acceleration reached by then."""
     reasons: list[str]
     """Why there is no number; empty where there is one."""
 
