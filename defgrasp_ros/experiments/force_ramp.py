@@ -10,7 +10,7 @@ from defgrasp_ros.errors import ResultCode
 from defgrasp_ros.experiments.batch import FORCE_TOLERANCE, GraspBatch, no_solution
 from defgrasp_ros.experiments.candidate import Candidate
 from defgrasp_ros.experiments.interruption import Failure
-from defgrasp_ros.experiments.rest import STILL_CHANGE, largest_motion
+from defgrasp_ros.experiments.rest import LONG_STEP, STILL_CHANGE, largest_motion
 
 RAMP_TIME_LIMIT = 3.0
 """Time after the ramp within which the force must be reached [s]."""
@@ -39,7 +39,7 @@ def ramp_closing_force(
     Returns:
         Per world why the force was not reached, or None.
     """
-    simulator, h, size = batch.simulator, batch.options.time_step, batch.model.mesh.size
+    simulator, size = batch.simulator, batch.model.mesh.size
     outcome: list[Failure | None] = [None] * len(worlds)
     heights = np.array([candidate.platform_height for candidate in candidates])
     waiting, elapsed = np.arange(len(worlds)), 0.0
@@ -49,6 +49,7 @@ def ramp_closing_force(
             for i in waiting:
                 outcome[i] = interruption
             break
+        h = batch.options.time_step * (1 if elapsed < duration else LONG_STEP)
         elapsed += h
         batch.time += h
         force = start[waiting] + min(1.0, elapsed / duration) * (end - start)[waiting]

@@ -18,7 +18,7 @@ from defgrasp_ros.experiments.directions import DIRECTION_COUNT, sphere_directio
 from defgrasp_ros.experiments.force_ramp import ramp_closing_force
 from defgrasp_ros.experiments.interruption import Failure
 from defgrasp_ros.experiments.metrics import centre_of_mass, deformation
-from defgrasp_ros.experiments.rest import RestWatch
+from defgrasp_ros.experiments.rest import LONG_STEP, RestWatch
 from defgrasp_ros.experiments.settling import deformed_state
 from defgrasp_ros.experiments.slip_force import rotational_slip_force
 from defgrasp_ros.object_model import STANDARD_GRAVITY
@@ -26,8 +26,6 @@ from defgrasp_ros.simulation.shard import WorldSnapshot
 
 TURNS = np.array([1, 2, 3, 4]) * np.pi / 4.0
 """Angles about an axis that are recorded [rad]."""
-LONG_STEP = 4
-"""Time steps in a quasi-static step of a hanging object."""
 SETTLE_STEPS = 400
 """Largest number of such steps in which an object comes to rest."""
 GRAVITY = np.array([0.0, 0.0, -STANDARD_GRAVITY])
