@@ -28,7 +28,7 @@ def alart_curnier(trial: vec3d, friction: wp.float64) -> vec3d:
 
 @wp.func
 def alart_curnier_slope(trial: vec3d, friction: wp.float64) -> mat33d:
-    """Return an element of the generalised Jacobian of ``alart_curnier``: 0 where a contact is open, 1 where it sticks."""
+    """Return an element of the generalised Jacobian of ``alart_curnier``: 0 where open, 1 where sticking."""
     one = wp.float64(1.0)
     zero = wp.float64(0.0)
     if trial[0] <= zero:

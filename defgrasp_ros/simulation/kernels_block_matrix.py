@@ -17,7 +17,7 @@ wp.set_module_options({"enable_backward": False})
 def multiply_symmetric(
     matrix: wp.array3d[mat33d], m: int, count: int, x: wp.array2d[vec3d], y: wp.array2d[vec3d], row: int
 ):
-    """y = A x of ``row``, with the leading ``count`` blocks of the symmetric matrix ``m``; reads its upper half alone."""
+    """y = A x of ``row``, with the leading ``count`` blocks of the symmetric matrix ``m``, of which it reads half."""
     for i in range(count):
         y[row, i] = matrix[m, i, i] * x[row, i]
     for i in range(count):

@@ -142,15 +142,9 @@ def is_accurate(problems: ContactProblems, systems: NewtonSystems, row: int, sca
 
 
 @wp.func
-def is_zero(v: vec3d) -> bool:
+def is_zero(x: Any) -> bool:
     """Whether all entries are 0."""
-    return v == vec3d()
-
-
-@wp.func
-def is_zero(m: mat33d) -> bool:
-    """Whether all entries are 0."""
-    return m == mat33d()
+    return x == wp.float64(0.0) * x
 
 
 @wp.func
@@ -231,10 +225,10 @@ def add_column(problems: ContactProblems, systems: NewtonSystems, row: int, cont
     base.contact[w, k] = contact
     base.place_of_column[w, contact] = k
     base.column_count[w] = k + 1
-    for l in range(k + 1):
-        base.product[w, k, l] = times_row(problems, base, w, contact, base.column, COLUMNS * w + l)
-        if l < k:
-            base.product[w, l, k] = times_row(problems, base, w, base.contact[w, l], base.column, COLUMNS * w + k)
+    for j in range(k):
+        base.product[w, k, j] = times_row(problems, base, w, contact, base.column, COLUMNS * w + j)
+        base.product[w, j, k] = times_row(problems, base, w, base.contact[w, j], base.column, COLUMNS * w + k)
+    base.product[w, k, k] = times_row(problems, base, w, contact, base.column, COLUMNS * w + k)
 
 
 # --- systems that differ from it --------------------------------------------------------------------------------------
@@ -288,8 +282,8 @@ def solve_changed(problems: ContactProblems, systems: NewtonSystems, row: int, c
         difference = systems.slope[row, c] - base.slope[w, c]
         systems.unknown[row, i] = difference * times_row(problems, base, w, c, systems.direction, row)
         for j in range(changed_count):
-            l = base.place_of_column[w, systems.changed[row, j]]
-            systems.matrix[row, i, j] = difference * base.product[w, k, l]
+            other = base.place_of_column[w, systems.changed[row, j]]
+            systems.matrix[row, i, j] = difference * base.product[w, k, other]
         systems.matrix[row, i, i] = systems.matrix[row, i, i] + wp.identity(n=3, dtype=wp.float64)
     factorise(systems.matrix, row, changed_count)
     solve_factorised(systems.matrix, row, changed_count, systems.unknown, row, 0)
