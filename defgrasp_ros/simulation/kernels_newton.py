@@ -69,6 +69,10 @@ def iterate(
     w = problems.worlds[row]
     count = problems.count[w]
     zero = wp.float64(0.0)
+    for c in range(count):
+        # What is left there may not be finite, and the first norm takes 0 times it.
+        buffers.systems.direction[row, c] = vec3d()
+        buffers.systems.change[row, c] = vec3d()
     norms = _norms()
     norms[0] = norm_of_phi(problems, buffers, row, scale, zero)
     for iteration in range(MAX_ITERATIONS):

@@ -10,8 +10,9 @@ factorised last. For the contacts c whose slopes differ from S_0, by Woodbury's 
 
     d = y - sum_c X_c s_c,   y = -M^-1 Phi,   X_c = M^-1 e_c,   sum_c' (1_cc' + dS_c G_c X_c') s_c' = dS_c G_c y,
 
-where G_c are rows of G. Each X_c is found when it is first needed, and kept as long as the base. Slopes that differ by
-less than ``SLOPE_TOLERANCE`` count as equal; what the system then misses decides whether its solution is taken.
+where G_c are rows of G. Each X_c is found when it is first needed, and kept as long as the base. Sliding contacts turn
+a little all the time: small changes are passed over. What the direction then misses of its system, for this or any
+other reason, decides whether it is taken, so factors that are too old cost time and nothing else.
 """
 
 from typing import Any
@@ -30,10 +31,10 @@ REGULARISATION = wp.constant(wp.float64(1e-6))
 COLUMNS = wp.constant(32)
 """Columns of the inverse that a world can keep."""
 COLUMN_COST = wp.constant(4)
-"""More new columns than pressed contacts divided by this cost more than new factors."""
-SLOPE_TOLERANCE = wp.constant(wp.float64(1e-3))
-"""Largest entry of a change of slope that is passed over [-]."""
-LARGEST_DEFECT = wp.constant(wp.float64(1e-2))
+"""Of new factors, a column costs this part divided by the number of pressed contacts [-]; measured on a processor."""
+SLOPE_TOLERANCE = wp.constant(wp.float64(1e-2))
+"""Change of a contact's part of the system that is passed over [-]: of a slope, times own compliance over scale."""
+LARGEST_DEFECT = wp.constant(wp.float64(5e-2))
 """What a direction from earlier factors may miss of its system, relative to Phi [-]."""
 
 
@@ -250,7 +251,7 @@ def list_changed_contacts(
         largest = wp.float64(0.0)
         for i in range(3):
             largest = wp.max(largest, wp.max(wp.abs(difference[i])))
-        if largest > SLOPE_TOLERANCE:
+        if largest * (scale + wp.trace(problems.matrix[w, c, c])) > SLOPE_TOLERANCE * scale:
             if base.place_of_column[w, c] < 0:
                 columns += 1
             if columns > COLUMNS:
