@@ -1,9 +1,7 @@
-"""A semismooth Newton method for contact problems, on the function of Alart and Curnier (1991).
+"""A semismooth Newton method for contact problems, on the function of Alart and Curnier.
 
-    Phi(lambda) = lambda - (max(0, n), P_disk(t)),   (n, t) = lambda - w / r,   radius of the disk: mu max(0, n).
-
-The scale r [m/N] sets the path, not the solution. A line search on the norm of Phi lets it climb for a few iterations.
-From a good first guess one to four linear systems are enough; from a bad one it may get stuck.
+A line search on the norm of Phi lets it climb for a few iterations. From a good first guess one to four linear systems
+are enough; from a bad one it may get stuck.
 
 Points that depend on each other leave the forces undetermined, and the method may then wander. A proximal shift s
 helps: with W + s and the offset q - s lambda_0 the solution stays near the forces lambda_0 it began with. Repeated from
