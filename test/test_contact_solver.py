@@ -42,13 +42,18 @@ def residual(matrix: np.ndarray, offset: np.ndarray, force: np.ndarray, friction
     return np.linalg.norm(force - project_on_cone(force - motion / scale_of(matrix), friction), axis=1).max(initial=0.0)
 
 
-def problem_of(matrix: np.ndarray, offset: np.ndarray, friction: float = FRICTION) -> coulomb.ContactProblems:
-    """One problem as the kernels take it."""
+def problem_of(
+    matrix: np.ndarray, offset: np.ndarray, friction: float = FRICTION, start: np.ndarray | None = None
+) -> coulomb.ContactProblems:
+    """One problem as the kernels take it; from no force by default."""
     count, problems = len(offset) // 3, coulomb.ContactProblems()
+    force = np.zeros_like(offset) if start is None else start.ravel()
     problems.worlds = wp.array([0], dtype=int, device="cpu")
     problems.count = wp.array([count], dtype=int, device="cpu")
     problems.matrix = wp.array(blocks(matrix)[None], dtype=mat33d, device="cpu")
-    problems.offset = wp.array(offset.reshape(1, -1, 3), dtype=vec3d, device="cpu")
+    problems.force, problems.motion = (
+        wp.array(a.reshape(1, count, 3), dtype=vec3d, device="cpu") for a in (force, matrix @ force + offset)
+    )
     problems.friction = friction
     problems.rho = wp.array([scale_of(matrix) if count else 1.0], dtype=wp.float64, device="cpu")
     return problems
@@ -62,12 +67,9 @@ def solve_with_attempts(
     solver: ContactSolver | None = None,
 ) -> tuple[np.ndarray, int]:
     """Forces of one problem, shape ``(contact, 3)``, and the number of methods it took; from no force by default."""
-    count = len(offset) // 3
-    first = np.zeros((1, count, 3)) if start is None else start.reshape(1, count, 3)
-    solver = solver or ContactSolver(1, count, wp.get_device("cpu"))
+    solver = solver or ContactSolver(1, len(offset) // 3, wp.get_device("cpu"))
     tolerance = wp.array([TOLERANCE], dtype=wp.float64, device="cpu")
-    problem = problem_of(matrix, offset, friction)
-    solver.solve(problem, wp.array(first, dtype=vec3d, device="cpu"), tolerance)
+    solver.solve(problem_of(matrix, offset, friction, start), tolerance)
     return solver.force.numpy()[0].copy(), int(solver.attempts.numpy()[0])
 
 
@@ -259,7 +261,7 @@ def _solve_linear(matrix: wp.array3d[mat33d], x: wp.array2d[vec3d]):
     """Solve one system per row."""
     i = wp.tid()
     factorise(matrix, i, matrix.shape[1])
-    solve_factorised(matrix, i, matrix.shape[1], x)
+    solve_factorised(matrix, i, matrix.shape[1], x, i, 0)
 
 
 def test_block_elimination_agrees_with_lapack():

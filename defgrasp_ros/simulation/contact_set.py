@@ -82,7 +82,7 @@ class ContactSet:
         self._problems.count, self._problems.rho = self.lists.count, self._rho
         self._problems.friction = self._model.friction
         self._problems.matrix = wp.zeros((worlds, capacity, capacity), dtype=mat33d, device=device)
-        self._problems.offset = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
+        self._problems.force, self._problems.motion = self._force, self._motion
         self._solver = ContactSolver(worlds, capacity, device)
         self.stale.fill_(1)
 
@@ -238,6 +238,7 @@ class ContactSet:
             [shared.matrix, shared.step_length, lists, some, state.rotation, state.finger_damping],
             [self._problems.matrix],
         )
+        self._solver.forget(stale)
         set_entries(self.stale, stale, 0)
         self._assembled_step[stale] = shared.step_length
 
@@ -266,8 +267,7 @@ class ContactSet:
         self._relative_motion(rows, correction)
         problems, solver, places = self._problems, self._solver, (rows.shape[0], self.capacity)
         problems.worlds = rows
-        self._launch(coulomb.motion_without_forces, places, [problems, self._force, self._motion])
-        solver.solve(problems, self._force, wp.array(tolerance, dtype=wp.float64, device=self._device))
+        solver.solve(problems, wp.array(tolerance, dtype=wp.float64, device=self._device))
         self._launch(contact.take_forces, places, [rows, solver.force, self.lists, self._force])
         return solver.attempts.numpy()[: len(tolerance)] > 1
 

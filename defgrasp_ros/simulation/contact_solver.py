@@ -2,59 +2,83 @@
 
 from __future__ import annotations
 
+import numpy as np
 import warp as wp
 
 from defgrasp_ros.simulation.kernels_contact_solver import solve_contacts
 from defgrasp_ros.simulation.kernels_coulomb import ContactProblems
 from defgrasp_ros.simulation.kernels_interior_point import InteriorPointBuffers
 from defgrasp_ros.simulation.kernels_newton import NewtonBuffers
+from defgrasp_ros.simulation.kernels_newton_system import COLUMNS, Base, NewtonSystems
 from defgrasp_ros.simulation.types import mat33d, vec3d
+from defgrasp_ros.simulation.world_state import set_entries
 
 
 class ContactSolver:
-    """Solves batches of up to ``row_count`` contact problems with up to ``capacity`` points each.
+    """Solves the contact problems of up to ``world_count`` worlds with up to ``capacity`` points each.
 
     Args:
-        row_count: Number of problems.
-        capacity: Contact points per problem.
+        world_count: Number of worlds.
+        capacity: Contact points per world.
         device: Where they are solved.
     """
 
-    def __init__(self, row_count: int, capacity: int, device: wp.Device):
+    def __init__(self, world_count: int, capacity: int, device: wp.Device):
         self._device = device
 
-        def vectors() -> wp.array:
-            return wp.zeros((row_count, capacity), dtype=vec3d, device=device)
+        def zeros(dtype, *shape: int) -> wp.array:
+            return wp.zeros((world_count, *shape), dtype=dtype, device=device)
 
-        system = wp.zeros((row_count, capacity, capacity), dtype=mat33d, device=device)
-        self.force = vectors()
+        self.force = zeros(vec3d, capacity)
         """Solution (row, contact) [N]."""
-        self.attempts = wp.zeros(row_count, dtype=int, device=device)
+        self.attempts = zeros(int)
         """Methods that were tried for the last problem of each row; 1: the first one solved it."""
-        self.systems = wp.zeros(row_count, dtype=int, device=device)
+        self.systems = zeros(int)
         """Linear systems of Newton's method for the last problem of each row."""
-        self._newton = NewtonBuffers()
-        for name in ("force", "motion", "centre", "direction", "change", "right_side"):
-            setattr(self._newton, name, vectors())
-        self._newton.pressed = wp.zeros((row_count, capacity), dtype=int, device=device)
-        self._newton.system, self._newton.systems = system, self.systems
-        self._interior = InteriorPointBuffers()
-        for name in ("x", "z", "missing", "dx", "dz", "force", "motion", "best"):
-            setattr(self._interior, name, vectors())
-        self._interior.system = system
+        self.factorised = zeros(int)
+        """How many of them had to be factorised."""
 
-    def solve(self, problems: ContactProblems, start: wp.array, tolerance: wp.array) -> None:
+        base = self._base = Base()
+        base.valid, base.pressed_count, base.column_count = (zeros(int) for _ in range(3))
+        base.scale, base.shift = zeros(wp.float64), zeros(wp.float64)
+        base.pressed, base.place_of_column = zeros(int, capacity), zeros(int, capacity)
+        base.slope, base.factors = zeros(mat33d, capacity), zeros(mat33d, capacity, capacity)
+        base.contact, base.product = zeros(int, COLUMNS), zeros(mat33d, COLUMNS, COLUMNS)
+        base.column = wp.zeros((world_count * COLUMNS, capacity), dtype=mat33d, device=device)
+
+        systems = NewtonSystems()
+        systems.base, systems.solved, systems.factorised = base, self.systems, self.factorised
+        for name in ("value", "direction", "change", "pressed_part"):
+            setattr(systems, name, zeros(vec3d, capacity))
+        systems.slope, systems.pressed_column = zeros(mat33d, capacity), zeros(mat33d, capacity)
+        systems.changed, systems.unknown = zeros(int, COLUMNS), zeros(vec3d, COLUMNS)
+        systems.matrix = zeros(mat33d, COLUMNS, COLUMNS)
+
+        self._newton = NewtonBuffers()
+        self._newton.systems = systems
+        for name in ("force", "motion", "centre"):
+            setattr(self._newton, name, zeros(vec3d, capacity))
+
+        self._interior = InteriorPointBuffers()
+        self._interior.system = base.factors
+        for name in ("offset", "x", "z", "missing", "dx", "dz", "force", "motion", "best"):
+            setattr(self._interior, name, zeros(vec3d, capacity))
+
+    def forget(self, worlds: np.ndarray) -> None:
+        """The matrices of these worlds have changed: what is known of them is of no use any more."""
+        set_entries(self._base.valid, worlds, 0)
+
+    def solve(self, problems: ContactProblems, tolerance: wp.array) -> None:
         """Find the forces that obey the laws of contact; those that do it best where none do well enough.
 
         Args:
-            problems: One per row.
-            start: First guess (row, contact) [N].
+            problems: One per row. The matrix of a world is the one before, unless ``forget`` was told.
             tolerance: Largest accepted residual (row,) [N].
         """
         wp.launch(
             solve_contacts,
             dim=problems.worlds.shape[0],
-            inputs=[problems, start, tolerance, self._newton, self._interior],
+            inputs=[problems, tolerance, self._newton, self._interior],
             outputs=[self.force, self.attempts],
             device=self._device,
         )

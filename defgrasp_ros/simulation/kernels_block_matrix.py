@@ -4,6 +4,8 @@ A matrix is an array (row, i, j) of blocks, a vector an array (row, i). With blo
 speed of a library on a processor, for all rows of the batch in one launch.
 """
 
+from typing import Any
+
 import warp as wp
 
 from defgrasp_ros.simulation.types import mat33d, vec3d
@@ -12,12 +14,19 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def multiply(matrix: wp.array3d[mat33d], m: int, count: int, x: wp.array2d[vec3d], y: wp.array2d[vec3d], row: int):
-    """y = A x of ``row``, with matrix ``m`` of the batch and its leading ``count`` blocks."""
+def multiply_symmetric(
+    matrix: wp.array3d[mat33d], m: int, count: int, x: wp.array2d[vec3d], y: wp.array2d[vec3d], row: int
+):
+    """y = A x of ``row``, with the leading ``count`` blocks of the symmetric matrix ``m``, of which it reads half."""
     for i in range(count):
-        total = vec3d()
-        for j in range(count):
-            total += matrix[m, i, j] * x[row, j]
+        y[row, i] = matrix[m, i, i] * x[row, i]
+    for i in range(count):
+        own = x[row, i]
+        total = y[row, i]
+        for j in range(i + 1, count):
+            block = matrix[m, i, j]
+            total += block * x[row, j]
+            y[row, j] = y[row, j] + own * block
         y[row, i] = total
 
 
@@ -35,16 +44,19 @@ def factorise(matrix: wp.array3d[mat33d], row: int, count: int):
 
 
 @wp.func
-def solve_factorised(matrix: wp.array3d[mat33d], row: int, count: int, x: wp.array2d[vec3d]):
-    """Replace the right-hand side x of ``row`` by A^-1 x, after ``factorise``."""
-    for i in range(count):
+def solve_factorised(matrix: wp.array3d[mat33d], m: int, count: int, x: wp.array2d[Any], row: int, first: int):
+    """Replace the right-hand side x of ``row``, of vectors or blocks, by A^-1 x, after ``factorise`` of matrix ``m``.
+
+    Entries of the right-hand side before ``first`` are 0.
+    """
+    for i in range(first + 1, count):
         total = x[row, i]
-        for j in range(i):
-            total -= matrix[row, i, j] * x[row, j]
+        for j in range(first, i):
+            total -= matrix[m, i, j] * x[row, j]
         x[row, i] = total
     for n in range(count):
         i = count - 1 - n
         total = x[row, i]
         for j in range(i + 1, count):
-            total -= matrix[row, i, j] * x[row, j]
-        x[row, i] = matrix[row, i, i] * total
+            total -= matrix[m, i, j] * x[row, j]
+        x[row, i] = matrix[m, i, i] * total

@@ -33,7 +33,6 @@ ATTEMPTS = wp.constant(RANDOM + 10)
 @wp.kernel
 def solve_contacts(
     problems: ContactProblems,
-    start: wp.array2d[vec3d],  # (row, contact): first guess [N]
     tolerance: wp.array[wp.float64],  # (row,): largest accepted residual [N]
     newton_buffers: NewtonBuffers,
     interior_buffers: InteriorPointBuffers,
@@ -46,7 +45,8 @@ def solve_contacts(
     w = problems.worlds[i]
     count = problems.count[w]
     attempts_out[i] = 0
-    newton_buffers.systems[i] = 0
+    newton_buffers.systems.solved[i] = 0
+    newton_buffers.systems.factorised[i] = 0
     if count == 0:
         return
     trace = wp.float64(0.0)
@@ -54,9 +54,9 @@ def solve_contacts(
     gap = wp.float64(0.0)
     for c in range(count):
         trace += wp.trace(problems.matrix[w, c, c])
-        level += wp.abs(start[i, c][0])
-        gap = wp.max(gap, wp.length(problems.offset[i, c]))
-        force_out[i, c] = start[i, c]
+        level += wp.abs(problems.force[i, c][0])
+        gap = wp.max(gap, wp.length(problems.motion[i, c]))
+        force_out[i, c] = problems.force[i, c]
     level /= wp.float64(count)
     if level == wp.float64(0.0):
         # Points that carried nothing so far: what moves a point alone by the largest motion without forces.
@@ -74,10 +74,11 @@ def solve_contacts(
         if attempt == ELASTIC:
             scale = problems.rho[w]
         for c in range(count):
-            newton_buffers.force[i, c] = start[i, c]
+            newton_buffers.force[i, c] = problems.force[i, c]
         if attempt == INTERIOR:
             if problems.friction == wp.float64(0.0):
                 continue
+            newton_buffers.systems.base.valid[w] = 0  # its factors are overwritten
             interior_point(problems, interior_buffers, i, level, tolerance[i])
             scale = SMALL_SCALE * mean
             for c in range(count):

@@ -27,7 +27,8 @@ class ContactProblems:
     worlds: wp.array[int]  # (row,)
     count: wp.array[int]  # (world,) points
     matrix: wp.array3d[mat33d]  # (world, contact, contact): W [m/N], symmetric, positive semi-definite
-    offset: wp.array2d[vec3d]  # (row, contact): q [m]
+    force: wp.array2d[vec3d]  # (row, contact): forces to begin with [N]
+    motion: wp.array2d[vec3d]  # (row, contact): their motion w [m]
     friction: wp.float64  # mu [-]
     rho: wp.array[wp.float64]  # (world,): elastic self-compliance of a contact, scale of the natural map [m/N]
 
@@ -76,23 +77,6 @@ def largest_residual(
             return distance
         worst = wp.max(worst, distance)
     return worst
-
-
-@wp.kernel
-def motion_without_forces(
-    problems: ContactProblems,  # offset: out
-    force: wp.array2d[vec3d],  # (row, contact) [N]
-    motion: wp.array2d[vec3d],  # (row, contact): w of these forces [m]
-):
-    """Set q = w - W lambda."""
-    i, c = wp.tid()
-    w = problems.worlds[i]
-    if c >= problems.count[w]:
-        return
-    offset = motion[i, c]
-    for k in range(problems.count[w]):
-        offset -= problems.matrix[w, c, k] * force[i, k]
-    problems.offset[i, c] = offset
 
 
 @wp.kernel

@@ -16,7 +16,7 @@ first guess for Newton's method of its own.
 
 import warp as wp
 
-from defgrasp_ros.simulation.kernels_block_matrix import factorise, multiply, solve_factorised
+from defgrasp_ros.simulation.kernels_block_matrix import factorise, multiply_symmetric, solve_factorised
 from defgrasp_ros.simulation.kernels_coulomb import ContactProblems, largest_residual, tangential_length
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
@@ -36,6 +36,7 @@ LARGEST = wp.constant(wp.float64(1e300))
 class InteriorPointBuffers:
     """Work space, one row per problem."""
 
+    offset: wp.array2d[vec3d]  # (row, contact): q [m]
     x: wp.array2d[vec3d]  # (row, contact): scaled forces [N]
     z: wp.array2d[vec3d]  # (row, contact): scaled motions [m]
     missing: wp.array2d[vec3d]  # (row, contact): M x + p + |z_t| n - z [m]
@@ -44,7 +45,7 @@ class InteriorPointBuffers:
     force: wp.array2d[vec3d]  # (row, contact): x as forces [N]
     motion: wp.array2d[vec3d]  # (row, contact): their w [m]
     best: wp.array2d[vec3d]  # (row, contact): forces with the least residual [N]
-    system: wp.array3d[mat33d]  # (row, contact, contact)
+    system: wp.array3d[mat33d]  # (world, contact, contact): M + J H
 
 
 @wp.func
@@ -128,6 +129,16 @@ def unscaled(v: vec3d, friction: wp.float64) -> vec3d:
 
 
 @wp.func
+def find_offset(problems: ContactProblems, buffers: InteriorPointBuffers, row: int):
+    """q = w - W lambda, the motion without forces."""
+    w = problems.worlds[row]
+    count = problems.count[w]
+    multiply_symmetric(problems.matrix, w, count, problems.force, buffers.offset, row)
+    for c in range(count):
+        buffers.offset[row, c] = problems.motion[row, c] - buffers.offset[row, c]
+
+
+@wp.func
 def evaluate_iterate(problems: ContactProblems, buffers: InteriorPointBuffers, row: int) -> wp.float64:
     """Take the iterate's forces, motions and what its equation misses; return its residual [N]."""
     w = problems.worlds[row]
@@ -135,9 +146,9 @@ def evaluate_iterate(problems: ContactProblems, buffers: InteriorPointBuffers, r
     mu = problems.friction
     for c in range(count):
         buffers.force[row, c] = unscaled(buffers.x[row, c], mu)
-    multiply(problems.matrix, w, count, buffers.force, buffers.motion, row)
+    multiply_symmetric(problems.matrix, w, count, buffers.force, buffers.motion, row)
     for c in range(count):
-        motion = buffers.motion[row, c] + problems.offset[row, c]
+        motion = buffers.motion[row, c] + buffers.offset[row, c]
         buffers.motion[row, c] = motion
         z = buffers.z[row, c]
         missing = unscaled(motion, mu) - z
@@ -155,22 +166,24 @@ def assemble_system(problems: ContactProblems, buffers: InteriorPointBuffers, ro
     weight = mat33d(one / problems.friction, zero, zero, zero, one, zero, zero, zero, one)
     for i in range(count):
         for j in range(count):
-            buffers.system[row, i, j] = weight * problems.matrix[w, i, j] * weight
+            buffers.system[w, i, j] = weight * problems.matrix[w, i, j] * weight
         x = buffers.x[row, i]
         z = buffers.z[row, i]
-        buffers.system[row, i, i] = buffers.system[row, i, i] + shift_jacobian(z) * scaling(x, z)
-    factorise(buffers.system, row, count)
+        buffers.system[w, i, i] = buffers.system[w, i, i] + shift_jacobian(z) * scaling(x, z)
+    factorise(buffers.system, w, count)
 
 
 @wp.func
-def find_step(buffers: InteriorPointBuffers, row: int, count: int, target: wp.float64) -> wp.float64:
+def find_step(problems: ContactProblems, buffers: InteriorPointBuffers, row: int, target: wp.float64) -> wp.float64:
     """Find dx, dz towards x . z = ``target`` [J]; return how far they can be followed, at most to the boundary."""
+    w = problems.worlds[row]
+    count = problems.count[w]
     for c in range(count):
         z = buffers.z[row, c]
         aim = target * inverse_in_cone(buffers.x[row, c]) - z
         buffers.dz[row, c] = aim
         buffers.dx[row, c] = shift_jacobian(z) * aim - buffers.missing[row, c]
-    solve_factorised(buffers.system, row, count, buffers.dx)
+    solve_factorised(buffers.system, w, count, buffers.dx, row, 0)
     limit = LARGEST
     for c in range(count):
         x = buffers.x[row, c]
@@ -198,9 +211,10 @@ def interior_point(
     count = problems.count[w]
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
+    find_offset(problems, buffers, row)
     gap = zero
     for c in range(count):
-        gap = wp.max(gap, wp.length(unscaled(problems.offset[row, c], problems.friction)))
+        gap = wp.max(gap, wp.length(unscaled(buffers.offset[row, c], problems.friction)))
     for c in range(count):
         buffers.x[row, c] = vec3d(level * problems.friction, zero, zero)
         buffers.z[row, c] = vec3d(FIRST_GAP * gap, zero, zero)
@@ -219,9 +233,9 @@ def interior_point(
             complementarity += wp.dot(buffers.x[row, c], buffers.z[row, c])
         complementarity /= wp.float64(count)
         assemble_system(problems, buffers, row)
-        reach = wp.min(one, find_step(buffers, row, count, zero))
+        reach = wp.min(one, find_step(problems, buffers, row, zero))
         centring = wp.clamp((one - reach) * (one - reach), LEAST_CENTRING, MOST_CENTRING)
-        length = wp.min(one, BOUNDARY_SHARE * find_step(buffers, row, count, centring * complementarity))
+        length = wp.min(one, BOUNDARY_SHARE * find_step(problems, buffers, row, centring * complementarity))
         for c in range(count):
             buffers.x[row, c] = buffers.x[row, c] + length * buffers.dx[row, c]
             buffers.z[row, c] = buffers.z[row, c] + length * buffers.dz[row, c]

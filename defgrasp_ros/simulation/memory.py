@@ -10,6 +10,7 @@ from defgrasp_ros.errors import ResourceExhaustedError
 from defgrasp_ros.object_model import ObjectModel
 from defgrasp_ros.simulation.anderson import DEPTH
 from defgrasp_ros.simulation.contact_set import INITIAL_CAPACITY
+from defgrasp_ros.simulation.kernels_newton_system import COLUMNS
 from defgrasp_ros.simulation.shared_compliance import KEPT
 
 USED_SHARE = 0.7
@@ -27,8 +28,9 @@ def bytes_per_world(model: ObjectModel, capacity: int = EXPECTED_CAPACITY) -> in
     history = 2 * (int(DEPTH) + 1)
     nodal = nodes * ((11 + history) * VECTOR + 3 * MATRIX)
     elements = len(mesh.tetrahedra) * MATRIX + mesh.elements.size * VECTOR
-    contacts = 2 * capacity**2 * MATRIX + capacity * (9 * (5 * VECTOR + MATRIX + 4 * SCALAR) + (20 + history) * VECTOR)
-    return nodal + elements + contacts
+    matrices = 2 * capacity**2 + (int(COLUMNS) + 2) * capacity + 2 * int(COLUMNS) ** 2
+    contacts = capacity * (9 * (5 * VECTOR + MATRIX + 4 * SCALAR) + (21 + history) * VECTOR)
+    return nodal + elements + matrices * MATRIX + contacts
 
 
 def shared_bytes(model: ObjectModel) -> int:
