@@ -63,7 +63,7 @@ def solve_contacts(
         level = gap * wp.float64(3 * count) / trace
     mean = SCALE * wp.sqrt(problems.rho[w] * trace)
     least = wp.float64(wp.inf)
-    for attempt in range(ATTEMPTS):
+    for attempt in range(int(ATTEMPTS)):  # int(): not unrolled
         attempts_out[i] = attempt + 1
         scale = mean
         shift = PROXIMITY * problems.rho[w]

@@ -73,7 +73,7 @@ def iterate(
         buffers.systems.change[row, c] = vec3d()
     norms = _norms()
     norms[0] = norm_of_phi(problems, buffers, row, scale, zero)
-    for iteration in range(MAX_ITERATIONS):
+    for iteration in range(int(MAX_ITERATIONS)):  # int(): not unrolled, which would compile for minutes
         residual = largest_residual(buffers.force, buffers.motion, row, count, problems.rho[w], problems.friction)
         if residual <= tolerance or not wp.isfinite(residual):
             return
