@@ -15,7 +15,7 @@ from defgrasp_ros.simulation.contact_solver import ContactSolver
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
 from defgrasp_ros.simulation.types import mat33d, vec3d
-from defgrasp_ros.simulation.world_state import WorldState, set_entries
+from defgrasp_ros.simulation.world_state import WorldState, clear_rows, set_entries
 
 wp.set_module_options({"enable_backward": False})
 
@@ -115,7 +115,7 @@ class ContactSet:
     def go_back(self, rows: wp.array) -> None:
         """Take the lists that were last remembered, without their trends: they may have led astray."""
         self._launch(contact.copy_contacts, rows.shape[0], [rows, self._remembered, self.lists])
-        set_entries(self.lists.trend, rows.numpy(), 0.0)
+        self.forget_trends(rows)
         set_entries(self.stale, rows.numpy(), 1)
 
     def extrapolate(self, rows: wp.array, step_length: float) -> None:
@@ -125,6 +125,10 @@ class ContactSet:
     def find_trends(self, rows: wp.array, step_length: float) -> None:
         """Note what the step since ``remember`` changed."""
         self._launch(contact.find_trends, rows.shape[0], [rows, step_length, self._remembered, self.lists])
+
+    def forget_trends(self, rows: wp.array) -> None:
+        """Let the forces of some worlds stay as they are in the next first guess."""
+        clear_rows(self.lists.trend, rows)
 
     # --- finding points -----------------------------------------------------------------------------------------
 

@@ -30,7 +30,7 @@ from defgrasp_ros.simulation.dense import multiply_rows
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
 from defgrasp_ros.simulation.types import mat33d, vec3d
-from defgrasp_ros.simulation.world_state import WorldState, set_entries
+from defgrasp_ros.simulation.world_state import WorldState, clear_rows, set_entries
 
 wp.set_module_options({"enable_backward": False})
 
@@ -294,8 +294,9 @@ class Stepper:
 
     def _stand_still(self, worlds: np.ndarray) -> None:
         """Forget the trends of worlds that needed no iteration: nothing else would end a drift below the tolerance."""
-        set_entries(self._state.trend, worlds, 0.0)
-        set_entries(self._contacts.lists.trend, worlds, 0.0)
+        rows = self._rows(worlds)
+        clear_rows(self._state.trend, rows)
+        self._contacts.forget_trends(rows)
 
     def _are_crushed(self, worlds: np.ndarray) -> np.ndarray:
         """Return which worlds have more than a few elements turned inside out."""
@@ -309,8 +310,9 @@ class Stepper:
         if not len(worlds):
             return
         state = self._state
-        self._contacts.go_back(self._rows(worlds))
-        set_entries(state.trend, worlds, 0.0)
+        rows = self._rows(worlds)
+        self._contacts.go_back(rows)
+        clear_rows(state.trend, rows)
         set_entries(state.rotation, worlds, self._start_rotation.numpy()[worlds])
         set_entries(state.bodies.opening, worlds, state.start_opening.numpy()[worlds])
 

@@ -10,6 +10,8 @@ from defgrasp_ros.simulation.kernels_elasticity import Spin
 from defgrasp_ros.simulation.kernels_faces import BODY_COUNT, PLATFORM, Bodies
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
+wp.set_module_options({"enable_backward": False})
+
 UPWARD_FRAME = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Frame of the platform: rows normal, and two directions along it."""
 
@@ -88,3 +90,14 @@ def set_entries(array: wp.array, index, values) -> None:
     host[index] = values
     if array.device.is_cuda:
         array.assign(host)
+
+
+def clear_rows(array: wp.array, rows: wp.array) -> None:
+    """Set some rows of an array (row, n) of vectors on the device to zero."""
+    wp.launch(_clear_rows, dim=(rows.shape[0], array.shape[1]), inputs=[rows, array], device=array.device)
+
+
+@wp.kernel
+def _clear_rows(rows: wp.array[int], array: wp.array2d[vec3d]):
+    i, n = wp.tid()
+    array[rows[i], n] = vec3d()
