@@ -48,7 +48,7 @@ RESTART_GROWTH = 2.0
 """Growth of the residual in an iteration at which the acceleration starts anew [-], unless it has just begun: where the
 plain iteration diverges, it must be let go on until it knows the modes that grow."""
 MAX_INVERTED_SHARE = 1e-3
-"""Part of a body's volume that may be turned inside out [-]: a sliver of the mesh or two, which hold next to nothing."""
+"""Part of a body's volume that may be turned inside out [-]: a sliver or two of the mesh hold next to nothing."""
 MAX_SEARCHES = 5
 """How often a solved step may find contacts that it overlooked before it counts as failed."""
 
