@@ -253,6 +253,18 @@ def test_the_palm_carries_what_falls_on_it():
         assert (simulator.positions(WORLD)[0][:, 2].min() > -0.0051) == bool(carried)
 
 
+def test_a_node_on_the_edge_counts_as_inside():
+    """A node beyond a pad's edge by less than a hair is a contact point itself, as strain may move it to and fro."""
+    edge = SHARP.pad_half_width
+    mesh = box((4.0 * edge, 0.01, 0.012), (4, 3, 4))
+    for shift, inside in ((1e-9, True), (1e-5, False)):
+        simulator, _ = squeezed(SHARP, mesh, 1e-4, position=(shift, 0.0, 0.0))
+        forces = simulator.contact_forces(WORLD)[0]
+        on_edge = np.abs(forces.positions[:, 0] + edge) < 1e-4
+        assert on_edge.any()
+        assert (forces.weights[on_edge].max(axis=1) == 1.0).any() == inside
+
+
 @pytest.mark.parametrize(("height", "meets"), [(0.002, True), (-0.004, False)])
 def test_a_wall_is_no_contact_surface(height, meets):
     """What flies in over the edge of a face meets it; what comes in through the wall behind goes on undisturbed.

@@ -148,13 +148,14 @@ def place_bits(scene: Scene, body: int, p: vec3d) -> int:
         bits += IN_FRONT
     if p[2] < -faces.depth[body] - deepest[0] - deepest[1]:
         bits += BEHIND
-    if p[0] < low[0]:
+    # A node right on an edge counts as inside, however its strain moves it to and fro.
+    if p[0] < low[0] - scene.tie:
         bits += BEYOND_LOW_0
-    if p[0] > high[0]:
+    if p[0] > high[0] + scene.tie:
         bits += BEYOND_HIGH_0
-    if p[1] < low[1]:
+    if p[1] < low[1] - scene.tie:
         bits += BEYOND_LOW_1
-    if p[1] > high[1]:
+    if p[1] > high[1] + scene.tie:
         bits += BEYOND_HIGH_1
     if within(p, faces.low[body], faces.high[body]):
         bits += OVER_FLAT
