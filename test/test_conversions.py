@@ -189,6 +189,12 @@ def test_file_and_data_give_the_same_mesh(tmp_path: Path) -> None:
     np.testing.assert_array_equal(by_file.mesh.vertices, by_data.mesh.vertices)
 
 
+def test_a_registered_object_has_its_own_name():
+    """Logs and reports name a registered object as the registry does, unless the request says otherwise."""
+    assert object_to_message(RegisteredObject("lemon"), Material()).name == "lemon"
+    assert object_to_message(RegisteredObject("lemon"), Material(), "my lemon").name == "my lemon"
+
+
 def test_surface_encloses_the_same_volume() -> None:
     """A closed surface is filled with tetrahedra."""
     source = Surface(BLOCK.vertices, BLOCK.surface_triangles, target_edge_length=0.01)

@@ -115,7 +115,7 @@ def object_to_message(source: ObjectSource, material: Material, name: str = "") 
     Args:
         source: Its shape.
         material: Its material.
-        name: Its name in status and logs.
+        name: Its name in status and logs; empty: that of a registered object.
     """
     message = msg.ObjectModel(name=name, material=material_to_message(material))
     match source:
@@ -132,6 +132,7 @@ def object_to_message(source: ObjectSource, material: Material, name: str = "") 
             message.surface.triangles = [MeshTriangle(vertex_indices=triangle) for triangle in triangles]
         case RegisteredObject():
             message.uri = OBJECT_SCHEME + source.name
+            message.name = name or source.name
             return message
         case TetMesh():
             message.tetrahedra.vertices = flat(source.vertices)
