@@ -184,24 +184,29 @@ def test_the_first_reason_to_stop_stays(monkeypatch):
 # --- steps without a solution -----------------------------------------------------------------------------------
 
 
+def follower_that_alters_steps(monkeypatch, phase: Phase, alter) -> PhaseFollower:
+    """Return an observer in whose given phase the report of every step is altered."""
+    follower, step = PhaseFollower(), Simulator.step
+
+    def altered_step(self, *arguments, **options):
+        report = step(self, *arguments, **options)
+        if follower.phase is phase:
+            alter(report)
+        return report
+
+    monkeypatch.setattr(Simulator, "step", altered_step)
+    return follower
+
+
 @pytest.fixture
 def diverging(monkeypatch):
     """Returns an observer in whose given phase no step has a solution."""
 
-    def follow(phase: Phase) -> PhaseFollower:
-        follower, step = PhaseFollower(), Simulator.step
+    def alter(report):
+        report.converged[:] = False
+        report.residual[:] = 0.5
 
-        def failing_step(self, *arguments, **options):
-            report = step(self, *arguments, **options)
-            if follower.phase is phase:
-                report.converged[:] = False
-                report.residual[:] = 0.5
-            return report
-
-        monkeypatch.setattr(Simulator, "step", failing_step)
-        return follower
-
-    return follow
+    return lambda phase: follower_that_alters_steps(monkeypatch, phase, alter)
 
 
 @pytest.mark.parametrize("phase", [Phase.SQUEEZE, Phase.LOWER_PLATFORM])
@@ -232,19 +237,7 @@ def test_no_solution_in_a_later_experiment(diverging, phase):
 @pytest.fixture
 def crushing(monkeypatch):
     """Returns an observer in whose given phase every step turns elements inside out."""
-
-    def follow(phase: Phase) -> PhaseFollower:
-        follower, step = PhaseFollower(), Simulator.step
-
-        def crushing_step(self, *arguments, **options):
-            report = step(self, *arguments, **options)
-            report.crushed[:] |= follower.phase is phase
-            return report
-
-        monkeypatch.setattr(Simulator, "step", crushing_step)
-        return follower
-
-    return follow
+    return lambda phase: follower_that_alters_steps(monkeypatch, phase, lambda report: report.crushed.fill(True))
 
 
 @pytest.mark.parametrize("phase", [Phase.SQUEEZE, Phase.LOWER_PLATFORM])
