@@ -50,7 +50,7 @@ def friction(coefficients: Iterable[float] = (0.35, 0.5, 0.7, 1.0)) -> dict[floa
 
 def stiffness(moduli: Iterable[float] = (2e4, 2e5, 2e6, 2e9)) -> dict[float, GraspEvaluation]:
     """A ball, held by the same 1 N, less and less soft."""
-    mesh = find_object("sphere").mesh(0.006)
+    mesh = find_object("sphere").mesh(0.006, element_order=1)
     grasp = Grasp(np.array([0.0, 0.0, 0.02]), FROM_ABOVE.as_quat(), "ball", 1.0)
     return {modulus: evaluated(ObjectModel("ball", mesh, Material(modulus)), [grasp], set())[0] for modulus in moduli}
 
@@ -61,7 +61,7 @@ def banana(places: Iterable[float] = (-0.75, -0.35, 0.0, 0.35, 0.75)) -> dict[fl
     Further and faster than in the protocol, so that the hand loses it.
     """
     fruit = find_object("banana")
-    mesh = fruit.mesh(0.018)
+    mesh = fruit.mesh(0.018, element_order=1)
     length, bend = fruit.dimensions["length"], fruit.dimensions["bend"]
     grasps = []
     for place in places:

@@ -21,6 +21,7 @@ from defgrasp_ros.commands.mesh import mesh
 from defgrasp_ros.commands.object_argument import (
     EdgeLength,
     EdgeRadius,
+    ElementOrder,
     ObjectArgument,
     Scale,
     WallThickness,
@@ -78,9 +79,7 @@ def evaluate(
     edge_length: EdgeLength = None,
     wall_thickness: WallThickness = None,
     edge_radius: EdgeRadius = None,
-    element_order: Annotated[
-        int, typer.Option(help="1: tetrahedra of four nodes; 2: of ten, which do not lock in bending")
-    ] = 1,
+    element_order: ElementOrder = None,
     gripper: Annotated[str, typer.Option(help="Gripper description in config/grippers")] = DEFAULT_GRIPPER,
     experiments: Experiments = None,
     preset: Preset = None,
@@ -117,8 +116,8 @@ def evaluate(
     substance = replace(find_material(material).material if material else own, **given)
     model = ObjectModel(name, prepared.logged(), substance)
     console.print(
-        f"{model.name}: {len(model.mesh.vertices)} nodes, {len(model.mesh.tetrahedra)} tetrahedra, "
-        f"{1e3 * model.mass:.1f} g"
+        f"{model.name}: {len(model.mesh.vertices)} nodes, {len(model.mesh.tetrahedra)} tetrahedra of order "
+        f"{model.mesh.element_order}, {1e3 * model.mass:.1f} g"
     )
     console.print(material_text(substance))
     stop = StopSignal()

@@ -41,9 +41,6 @@ SOFT_TISSUE = Material(youngs_modulus=6e4, poissons_ratio=0.4, density=1050.0, f
 START_TIMEOUT = 60.0
 """How long to wait for an evaluator that is only just being started [s]."""
 
-EDGE_LENGTH = 0.0085
-"""Of the kidney's tetrahedra [m]; fine enough for a ranking, and done in a minute on two cores."""
-
 FIRM = 4.0
 """Target force of the demonstration's grasps [N], twice what the weight alone asks for."""
 
@@ -155,9 +152,7 @@ def main() -> int:
             model = ObjectModel(arguments.mesh.stem, read_mesh(arguments.mesh), material)
             grasps = read_grasps(arguments.grasps)
         else:
-            model = ObjectModel(
-                "kidney", mesh_from_surface(*kidney_surface(), target_edge_length=EDGE_LENGTH), material
-            )
+            model = ObjectModel("kidney", mesh_from_surface(*kidney_surface()), material)
             grasps = kidney_grasps()
         best = plan(model, grasps, arguments.picture, console)
     except DefgraspError as error:

@@ -202,6 +202,50 @@ def test_surface_encloses_the_same_volume() -> None:
     assert model.mesh.volume == pytest.approx(BLOCK.volume, rel=1e-3)
 
 
+@pytest.mark.parametrize("asked, made", [(None, 2), (1, 1), (2, 2)])
+def test_element_order_of_a_surface(asked, made) -> None:
+    """It is 2 unless the request says otherwise."""
+    source = Surface(BLOCK.vertices, BLOCK.surface_triangles, target_edge_length=0.02, element_order=asked)
+    assert object_from_message(object_to_message(source, Material()), LIMIT).mesh.element_order == made
+
+
+def test_element_order_of_tetrahedra(tmp_path: Path) -> None:
+    """Given ones stay as they are, with the nodes in the middle of edges if they have any."""
+    for order in (1, 2):
+        sent = dataclasses.replace(BLOCK, element_order=order)
+        mesh = object_from_message(object_to_message(sent, Material()), LIMIT).mesh
+        assert mesh.element_order == order
+        np.testing.assert_array_equal(mesh.vertices, sent.vertices)
+    path = tmp_path / "block.tet"
+    path.write_text(tetrahedra_text())
+    for asked, used in ((None, 1), (1, 1), (2, 2)):
+        message = object_to_message(MeshFile(path, element_order=asked), Material())
+        assert object_from_message(message, LIMIT).mesh.element_order == used
+
+
+def test_element_order_that_does_not_exist_is_refused() -> None:
+    """The text says which there are."""
+    message = object_to_message(BLOCK, Material())
+    message.element_order = 3
+    with pytest.raises(InvalidMeshError, match="object.tetrahedra: element_order = 3 is not available; give 1 or 2"):
+        object_from_message(message, LIMIT)
+
+
+def test_element_order_of_objects_by_name() -> None:
+    """Those of the library are made as asked for; registered ones are what they are."""
+    registry = ObjectRegistry()
+    registry.add("brick", BLOCK)
+
+    def order(name: str, asked: int | None) -> int:
+        message = object_to_message(RegisteredObject(name, asked), Material())
+        return object_from_message(message, LIMIT, registry=registry).mesh.element_order
+
+    assert [order("cup", asked) for asked in (None, 1, 2)] == [2, 1, 2]
+    assert [order("brick", asked) for asked in (None, 1)] == [1, 1]
+    with pytest.raises(InvalidMeshError, match="element_order = 2, but object 'brick' is registered with 1"):
+        order("brick", 2)
+
+
 def test_open_surface_is_refused() -> None:
     """A surface without one of its triangles is not watertight."""
     source = Surface(BLOCK.vertices, BLOCK.surface_triangles[1:])

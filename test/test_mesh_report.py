@@ -1,14 +1,16 @@
 """What is reported of a mesh, and files of tetrahedra."""
 
 import json
+from dataclasses import replace
 
+import meshio
 import numpy as np
 import pytest
 import trimesh
 
 from defgrasp_ros.errors import InvalidMeshError
 from defgrasp_ros.material import Material
-from defgrasp_ros.mesh.mesh_files import prepare_file, read_mesh, read_surface
+from defgrasp_ros.mesh.mesh_files import TEXT_FORMATS, prepare_file, read_mesh, read_surface
 from defgrasp_ros.mesh.mesh_writer import WRITTEN_FORMATS, write_mesh
 from defgrasp_ros.mesh.object_mesh import prepare_surface, prepare_tetrahedra
 from defgrasp_ros.mesh.quality import aspect_ratios
@@ -71,6 +73,32 @@ def test_written_tetrahedra_are_read_back(format, tmp_path):
     read = read_mesh(path)
     np.testing.assert_allclose(read.vertices, block.vertices, atol=1e-9)
     assert np.array_equal(read.tetrahedra, block.tetrahedra)
+
+
+@pytest.mark.parametrize("format", WRITTEN_FORMATS)
+def test_element_order_of_written_tetrahedra(format, tmp_path):
+    """Formats that know elements of ten nodes keep the order; the others hold corners alone."""
+    block = replace(box(EXTENTS, (2, 2, 1)), element_order=2)
+    path = tmp_path / f"block.{format}"
+    write_mesh(path, block)
+    read = read_mesh(path)
+    assert read.element_order == (1 if format in TEXT_FORMATS else 2)
+    for order, mesh in ((2, read_mesh(path, element_order=2)), (1, read_mesh(path, element_order=1))):
+        assert mesh.element_order == order
+        assert np.array_equal(mesh.tetrahedra, block.tetrahedra)
+    np.testing.assert_allclose(read_mesh(path, element_order=2).vertices, block.vertices, atol=1e-9)
+
+
+def test_curved_sides_are_reported(tmp_path):
+    """A middle node off its edge is put there, and the warning says how far it was."""
+    block = replace(box(EXTENTS, (1, 1, 1)), element_order=2)
+    vertices = block.vertices.copy()
+    vertices[-1, 2] += 0.05 * block.extents.max()
+    content = meshio.Mesh(vertices, [("tetra10", block.elements)])
+    content.write(tmp_path / "curved.vtu")
+    prepared = prepare_file(tmp_path / "curved.vtu")
+    assert any("curved, by up to 5 %" in warning for warning in prepared.warnings)
+    np.testing.assert_allclose(prepared.mesh.vertices, block.vertices, atol=1e-12)
 
 
 def test_unknown_format_is_not_written(tmp_path):

@@ -1,5 +1,7 @@
 """Tetrahedra from surfaces."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -45,10 +47,11 @@ def test_smaller_edge_length_gives_more_elements(block):
     assert fine > 8 * coarse
 
 
-def test_scan_becomes_a_mesh_that_can_be_simulated(shared_directory):
+@pytest.mark.parametrize("order", [1, 2])
+def test_scan_becomes_a_mesh_that_can_be_simulated(shared_directory, order):
     """A raw scan of 15 728 triangles gives about 1 000 nodes, with its volume and no nearly flat element."""
     scan = trimesh.load_mesh(shared_directory / "meshes" / "ycb_011_banana.stl")
-    mesh = tetrahedralize(scan.vertices, scan.faces)
+    mesh = replace(tetrahedralize(scan.vertices, scan.faces, element_order=order), element_order=order)
     assert 800 < len(mesh.vertices) < 1200
     assert mesh.volume == pytest.approx(scan.volume, rel=1e-6)
     assert np.degrees(dihedral_angles(mesh).min()) > 8.0

@@ -13,6 +13,7 @@ from rich.console import Console
 from defgrasp_ros.commands.object_argument import (
     EdgeLength,
     EdgeRadius,
+    ElementOrder,
     ObjectArgument,
     Scale,
     WallThickness,
@@ -38,12 +39,19 @@ def mesh(
     edge_length: EdgeLength = None,
     wall_thickness: WallThickness = None,
     edge_radius: EdgeRadius = None,
+    element_order: ElementOrder = None,
 ) -> None:
-    """Read OBJECT, mend and mesh it, and report size, mass, quality and what may be wrong."""
+    """Read OBJECT, mend and mesh it, and report size, mass, quality and what may be wrong.
+
+    Files of type .tet and .mesh cannot say that tetrahedra have ten nodes: what is made for them has four by default.
+    """
+    from defgrasp_ros.mesh.mesh_files import TEXT_FORMATS
     from defgrasp_ros.mesh.mesh_writer import write_mesh
     from defgrasp_ros.mesh.report import mesh_report
 
-    name, prepared, default = prepared_object(object, scale, edge_length, wall_thickness, edge_radius)
+    if output is not None and output.suffix.lower().removeprefix(".") in TEXT_FORMATS:
+        element_order = element_order or 1
+    name, prepared, default = prepared_object(object, scale, edge_length, wall_thickness, edge_radius, element_order)
     substance: Material = find_material(material).material if material else default
     result = mesh_report(name, prepared, substance)
     if output is not None:

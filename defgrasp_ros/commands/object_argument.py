@@ -20,6 +20,13 @@ EdgeLength = Annotated[float | None, typer.Option(help="Target edge of the tetra
 WallThickness = Annotated[
     float | None, typer.Option(help="Make the surface the outside of a hollow object with walls so thick [m]")
 ]
+ElementOrder = Annotated[
+    int | None,
+    typer.Option(
+        help="1: tetrahedra of four nodes; 2: of ten, which do not lock in bending",
+        show_default="2, or as the tetrahedra of a file are",
+    ),
+]
 EdgeRadius = Annotated[float | None, typer.Option(help="Round sharp edges of a surface with this radius [m]")]
 
 
@@ -29,7 +36,7 @@ def prepared_object(
     edge_length: float | None = None,
     wall_thickness: float | None = None,
     edge_radius: float | None = None,
-    element_order: int = 1,
+    element_order: int | None = None,
 ) -> tuple[str, PreparedMesh, Material]:
     """Return name, tetrahedra and default material of OBJECT.
 

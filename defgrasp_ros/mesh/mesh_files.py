@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -12,7 +13,7 @@ import numpy as np
 from defgrasp_ros.errors import InvalidMeshError, MeshTooLargeError, NotFoundError
 from defgrasp_ros.mesh.limited_process import WorkerError, run_worker
 from defgrasp_ros.mesh.object_mesh import PreparedMesh, prepare_surface, prepare_tetrahedra, scaled_surface
-from defgrasp_ros.mesh.tet_mesh import TetMesh
+from defgrasp_ros.mesh.tet_mesh import TET_EDGES, TetMesh
 
 if TYPE_CHECKING:
     import trimesh
@@ -23,6 +24,12 @@ MESHIO_FORMATS = ("msh", "vtk", "vtu")
 MESH_FORMATS = (*TEXT_FORMATS, *SURFACE_FORMATS, *MESHIO_FORMATS)
 """What can be read: tetrahedra as of DefGraspSim (tet); tetrahedra or triangles of MEDIT (mesh), Gmsh (msh) and VTK
 (vtk, vtu); triangles in the others."""
+
+ORDER_BY_NODES = {4: 1, 10: 2}
+"""Element order of tetrahedra with so many nodes."""
+
+STRAIGHT = 1e-3
+"""Distance of a node from the middle of its edge that is none, relative to the largest element [-]."""
 
 PLAIN_FORMATS = ("stl", "obj", "ply", "off")
 """Formats without compression or links, in which nothing is larger than the file; read in this process."""
@@ -47,7 +54,7 @@ def read_mesh(
     target_edge_length: float | None = None,
     wall_thickness: float | None = None,
     edge_radius: float | None = None,
-    element_order: int = 1,
+    element_order: int | None = None,
 ) -> TetMesh:
     """Read an object from a file; a surface is filled with tetrahedra.
 
@@ -58,7 +65,8 @@ def read_mesh(
             the file holds are taken as they are.
         wall_thickness: Makes a surface the outside of a hollow object with walls so thick [m]; None: a solid.
         edge_radius: Radius with which sharp edges of a surface are rounded [m]; None: they stay sharp.
-        element_order: 1 or 2, see :class:`TetMesh`.
+        element_order: 1 or 2, see :class:`TetMesh`; None: 2 for tetrahedra that are made here, for those of the file
+            1 if they have four nodes and 2 if they have ten.
 
     Raises:
         NotFoundError: If there is no such file.
@@ -95,13 +103,26 @@ def prepare_file(path: Path | str, **options: float | None) -> PreparedMesh:
 
 
 def prepare_bytes(
-    data: bytes, format: str, *, scale: float = 1.0, element_order: int = 1, **options: float | None
+    data: bytes, format: str, *, scale: float = 1.0, element_order: int | None = None, **options: float | None
 ) -> PreparedMesh:
     """Read an object from the contents of a file, and say what was found and mended on the way."""
     vertices, cells = parse_mesh(data, format)
+    if cells.shape[1] == 3:
+        return prepare_surface(vertices, cells, scale=scale, element_order=element_order, **options)
+    order = ORDER_BY_NODES[cells.shape[1]] if element_order is None else element_order
+    prepared = prepare_tetrahedra(vertices, cells[:, :4], scale=scale, element_order=order)
+    return replace(prepared, warnings=(*prepared.warnings, *_curved_sides(vertices, cells)))
+
+
+def _curved_sides(vertices: np.ndarray, cells: np.ndarray) -> list[str]:
+    """Return a warning, or nothing, about nodes of tetrahedra that are not in the middle of their edges."""
     if cells.shape[1] == 4:
-        return prepare_tetrahedra(vertices, cells, scale=scale, element_order=element_order)
-    return prepare_surface(vertices, cells, scale=scale, element_order=element_order, **options)
+        return []
+    distance = np.linalg.norm(vertices[cells[:, 4:]] - vertices[cells[:, TET_EDGES]].mean(axis=2), axis=-1)
+    share = distance.max() / np.ptp(vertices[cells[:, :4]], axis=1).max()
+    if share < STRAIGHT:
+        return []
+    return [f"sides of tetrahedra are curved, by up to {100.0 * share:.2g} % of their size: they are taken as straight"]
 
 
 def read_surface(path: Path | str, *, scale: float = 1.0) -> trimesh.Trimesh:
@@ -122,8 +143,8 @@ def parse_mesh(data: bytes, format: str) -> tuple[np.ndarray, np.ndarray]:
     """Return what a file holds, as it is: nothing is scaled, mended or filled.
 
     Returns:
-        Vertices in the file's unit, shape ``(vertex, 3)``, and tetrahedra, shape ``(tet, 4)``, or triangles, shape
-        ``(triangle, 3)``, where there are no tetrahedra.
+        Vertices in the file's unit, shape ``(vertex, 3)``, and tetrahedra, shape ``(tet, 4)`` or, corners first,
+        ``(tet, 10)``; or triangles, shape ``(triangle, 3)``, where there are no tetrahedra.
 
     Raises:
         InvalidMeshError: If the format is unknown or the data cannot be read.
@@ -142,7 +163,8 @@ def parse_mesh(data: bytes, format: str) -> tuple[np.ndarray, np.ndarray]:
         raise InvalidMeshError(f"holds no triangles that can be read as {format}")
     if len(cells) == 0:
         raise InvalidMeshError(
-            f"holds neither linear tetrahedra (tetra) nor triangles (triangle), but {', '.join(kinds) or 'no elements'}"
+            "holds neither tetrahedra of four or ten nodes (tetra, tetra10) nor triangles (triangle), but "
+            f"{', '.join(kinds) or 'no elements'}"
         )
     return vertices, cells
 
@@ -167,7 +189,7 @@ def _surface_of(vertices: np.ndarray, cells: np.ndarray, scale: float) -> trimes
 
     if cells.shape[1] == 3:
         return scaled_surface(vertices, cells, scale)
-    mesh = prepare_tetrahedra(vertices, cells, scale=scale).mesh
+    mesh = prepare_tetrahedra(vertices, cells[:, :4], scale=scale).mesh
     return trimesh.Trimesh(mesh.vertices, mesh.surface_triangles, process=False)
 
 

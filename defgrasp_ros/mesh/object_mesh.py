@@ -17,7 +17,7 @@ from defgrasp_ros.mesh.quality import dihedral_angles
 from defgrasp_ros.mesh.rounding import with_rounded_edges
 from defgrasp_ros.mesh.shell import shell_mesh
 from defgrasp_ros.mesh.surface import MENDS, closed_surface, open_surface
-from defgrasp_ros.mesh.tet_mesh import TetMesh
+from defgrasp_ros.mesh.tet_mesh import DEFAULT_ELEMENT_ORDER, TetMesh, require_element_order
 from defgrasp_ros.mesh.tetrahedralize import MAX_TETRAHEDRA, tetrahedralize
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def mesh_from_surface(vertices: np.ndarray, triangles: np.ndarray, **options: fl
 
 
 def mesh_from_tetrahedra(
-    vertices: np.ndarray, tetrahedra: np.ndarray, *, scale: float = 1.0, element_order: int = 1
+    vertices: np.ndarray, tetrahedra: np.ndarray, *, scale: float = 1.0, element_order: int | None = None
 ) -> TetMesh:
     """Return ready tetrahedra as they are, checked; arguments and errors as of ``prepare_tetrahedra``."""
     return prepare_tetrahedra(vertices, tetrahedra, scale=scale, element_order=element_order).logged()
@@ -88,7 +88,7 @@ def prepare_surface(
     target_edge_length: float | None = None,
     wall_thickness: float | None = None,
     edge_radius: float | None = None,
-    element_order: int = 1,
+    element_order: int | None = None,
 ) -> PreparedMesh:
     """Fill a surface with tetrahedra.
 
@@ -100,11 +100,12 @@ def prepare_surface(
         target_edge_length: Edge length of the tetrahedra [m]; None: for about 1 000 nodes.
         wall_thickness: The surface is the outside of a hollow object with walls so thick [m]; None: it is solid.
         edge_radius: Radius with which sharp edges are rounded [m]; None: they stay sharp.
-        element_order: 1 or 2, see :class:`TetMesh`.
+        element_order: 1 or 2, see :class:`TetMesh`; None: 2.
 
     Raises:
         InvalidMeshError: If the surface is no solid of plausible size; of a class that says which fault it is.
     """
+    order = require_element_order(DEFAULT_ELEMENT_ORDER if element_order is None else element_order)
     vertices = _scaled(vertices, scale)
     _require_plausible_size(vertices)
     if wall_thickness is not None:
@@ -113,7 +114,7 @@ def prepare_surface(
         mends = surface.metadata[MENDS]
         if edge_radius is not None:
             raise InvalidMeshError("edge_radius has no meaning for a hollow object; leave it out")
-        mesh = shell_mesh(surface.vertices, surface.faces, wall_thickness, target_edge_length, element_order)
+        mesh = shell_mesh(surface.vertices, surface.faces, wall_thickness, target_edge_length, order)
         warnings: list[str] = []
     else:
         surface = closed_surface(vertices, triangles)
@@ -122,15 +123,15 @@ def prepare_surface(
         if edge_radius is not None:
             surface = with_rounded_edges(surface, edge_radius)
         volume, warnings = _united_volume(surface)
-        mesh = tetrahedralize(surface.vertices, surface.faces, target_edge_length, element_order, volume)
+        mesh = tetrahedralize(surface.vertices, surface.faces, target_edge_length, order, volume)
     mesh, components = _largest_body(mesh, mends)
-    mesh = replace(mesh, element_order=element_order)
+    mesh = replace(mesh, element_order=order)
     _check_elements(mesh, warnings)
     return PreparedMesh(mesh, len(triangles), bool(watertight), components, tuple(mends), tuple(warnings))
 
 
 def prepare_tetrahedra(
-    vertices: np.ndarray, tetrahedra: np.ndarray, *, scale: float = 1.0, element_order: int = 1
+    vertices: np.ndarray, tetrahedra: np.ndarray, *, scale: float = 1.0, element_order: int | None = None
 ) -> PreparedMesh:
     """Check ready tetrahedra; they are taken as they are, but for loose specks.
 
@@ -138,7 +139,7 @@ def prepare_tetrahedra(
         vertices: Positions, in metres after multiplication with ``scale``, shape ``(vertex, 3)``.
         tetrahedra: Vertex indices, shape ``(tet, 4)``.
         scale: Factor to metres, e.g. 0.001 for millimetres.
-        element_order: 1 or 2, see :class:`TetMesh`.
+        element_order: 1 or 2, see :class:`TetMesh`; None: 1.
 
     Raises:
         InvalidMeshError: If they are no solid of plausible size.
@@ -152,7 +153,7 @@ def prepare_tetrahedra(
     mends: list[str] = []
     warnings: list[str] = []
     mesh, components = _largest_body(TetMesh(vertices, tetrahedra), mends)
-    mesh = replace(mesh, element_order=element_order)
+    mesh = replace(mesh, element_order=1 if element_order is None else element_order)
     _check_elements(mesh, warnings)
     return PreparedMesh(mesh, None, None, components, tuple(mends), tuple(warnings))
 
@@ -207,7 +208,7 @@ def _check_elements(mesh: TetMesh, warnings: list[str]) -> None:
     if len(mesh.vertices) > MAX_NODES:
         raise MeshTooLargeError(
             f"the mesh has {len(mesh.vertices)} nodes at element_order = {mesh.element_order}, more than {MAX_NODES}; "
-            "mesh it coarser"
+            + ("mesh it coarser" if mesh.element_order == 1 else "mesh it coarser, or take element_order = 1")
         )
     angles = dihedral_angles(mesh).min(axis=1)
     poor = angles < POOR_DIHEDRAL_ANGLE

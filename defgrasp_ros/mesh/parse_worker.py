@@ -37,7 +37,7 @@ def _by_meshio(data: bytes, format: str) -> dict[str, np.ndarray]:
         file.flush()
         content = reader.read(file.name)
     found = {"vertices": content.points, "cells": np.empty((0, 0)), "kinds": np.array(sorted(content.cells_dict))}
-    for kind in ("tetra", "triangle"):
+    for kind in ("tetra", "tetra10", "triangle"):
         if kind in content.cells_dict:
             return {**found, "cells": content.cells_dict[kind]}
     return found

@@ -34,6 +34,7 @@ class MeshReport:
         components: Bodies that were given.
         nodes: Number of nodes.
         tetrahedra: Number of elements.
+        element_order: 1: elements of four nodes; 2: of ten.
         extents: Sides of the bounding box [m], shape ``(3,)``.
         volume: [m^3].
         mass: [kg].
@@ -52,6 +53,7 @@ class MeshReport:
     components: int
     nodes: int
     tetrahedra: int
+    element_order: int
     extents: np.ndarray
     volume: float
     mass: float
@@ -79,7 +81,7 @@ class MeshReport:
         """Return everything in words."""
         sides = " x ".join(f"{1e3 * extent:.1f}" for extent in self.extents)
         principal = np.linalg.eigvalsh(self.inertia)
-        lines = [f"{self.name}: {self.nodes} nodes, {self.tetrahedra} tetrahedra"]
+        lines = [f"{self.name}: {self.nodes} nodes, {self.tetrahedra} tetrahedra of order {self.element_order}"]
         if self.triangles is not None:
             closed = "watertight" if self.watertight else "not watertight"
             bodies = f", {self.components} bodies" if self.components > 1 else ""
@@ -118,6 +120,7 @@ def mesh_report(name: str, prepared: PreparedMesh, material: Material) -> MeshRe
         components=prepared.components,
         nodes=len(mesh.vertices),
         tetrahedra=len(mesh.tetrahedra),
+        element_order=mesh.element_order,
         extents=mesh.extents,
         volume=mesh.volume,
         mass=material.density * mesh.volume,

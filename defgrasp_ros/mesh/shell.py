@@ -11,9 +11,10 @@ import numpy as np
 
 from defgrasp_ros.checks import require_in_range
 from defgrasp_ros.errors import InvalidMeshError, TetrahedralizationError
+from defgrasp_ros.mesh.node_count import DEFAULT_NODES, with_nodes
 from defgrasp_ros.mesh.overlap import enclosed_volume
 from defgrasp_ros.mesh.surface_geometry import triangle_normals
-from defgrasp_ros.mesh.tet_mesh import TetMesh, signed_volumes
+from defgrasp_ros.mesh.tet_mesh import DEFAULT_ELEMENT_ORDER, TetMesh, signed_volumes
 from defgrasp_ros.mesh.triangle_size import REGULAR_TRIANGLE, with_triangle_size
 
 LAYERS = {1: 2, 2: 1}
@@ -23,15 +24,16 @@ constant."""
 NODES_PER_VERTEX = {1: 3, 2: 12}
 """Nodes of the wall for each vertex of the surface, by element order."""
 
-DEFAULT_NODES = 1_100
-"""Nodes aimed at where no edge length is asked for."""
-
 FLAT_SPREAD = 0.05
 """Directions in which the normals around a vertex spread less than this count as flat: the wall is offset along the
 mean normal there. Larger spreads are edges and corners, at which it is offset so that all faces keep their distance."""
 
 MAX_STRETCH = 3.0
 """Largest offset of a vertex, in thicknesses; where faces meet more sharply the wall is thinner."""
+
+TOO_FINE = 1.4
+"""Factor on an edge length with which the wall does not fit, in the search for a default: edges must not be much
+shorter than a curved wall is thick."""
 
 MAX_OVERLAP = 0.01
 """Share of the volume up to which parts of the wall may seem to overlap; measuring is no finer."""
@@ -42,7 +44,7 @@ def shell_mesh(
     triangles: np.ndarray,
     thickness: float,
     target_edge_length: float | None = None,
-    element_order: int = 1,
+    element_order: int = DEFAULT_ELEMENT_ORDER,
 ) -> TetMesh:
     """Return the wall inside of a surface.
 
@@ -70,14 +72,20 @@ def shell_mesh(
     require_in_range(
         InvalidMeshError, "wall_thickness", thickness, 0.0, surface.extents.max() / 2.0, low_open=True, unit="m"
     )
+    layers = LAYERS[element_order]
+
+    def wall(edge_length: float) -> TetMesh:
+        outside = with_triangle_size(surface, edge_length)
+        return layered_wall(np.asarray(outside.vertices), np.asarray(outside.faces), thickness, layers)
+
     if target_edge_length is None:
         faces = 2.0 * DEFAULT_NODES / NODES_PER_VERTEX[element_order]
-        target_edge_length = float((surface.area / (REGULAR_TRIANGLE * faces)) ** 0.5)
+        first = float((surface.area / (REGULAR_TRIANGLE * faces)) ** 0.5)
+        return with_nodes(wall, first, element_order, TOO_FINE)
     require_in_range(
         InvalidMeshError, "target_edge_length", target_edge_length, 0.0, surface.extents.max(), low_open=True, unit="m"
     )
-    surface = with_triangle_size(surface, target_edge_length)
-    return layered_wall(np.asarray(surface.vertices), np.asarray(surface.faces), thickness, LAYERS[element_order])
+    return wall(target_edge_length)
 
 
 def layered_wall(vertices: np.ndarray, triangles: np.ndarray, thickness: float, layers: int) -> TetMesh:

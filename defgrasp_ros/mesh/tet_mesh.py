@@ -22,6 +22,10 @@ Order 2: the diagonal of the consistent mass, scaled to the whole (Hinton, Rock 
 negative at the corners.
 """
 
+DEFAULT_ELEMENT_ORDER = 2
+"""Of tetrahedra that are made here: at equal node counts order 2 is the more accurate one. Tetrahedra that are given
+are taken as they are."""
+
 MIN_RELATIVE_VOLUME = 1e-7
 """An element smaller than this fraction of the cube of its longest edge has no usable stiffness."""
 
@@ -63,8 +67,7 @@ class TetMesh:
     def __post_init__(self) -> None:
         vertices = np.asarray(self.vertices, dtype=np.float64)
         tetrahedra = np.asarray(self.tetrahedra)
-        if self.element_order not in LUMPED_SHARES:
-            raise InvalidMeshError(f"element_order = {self.element_order} is not available; give 1 or 2")
+        require_element_order(self.element_order)
         if vertices.ndim != 2 or vertices.shape[1] != 3:
             raise InvalidMeshError(f"vertices have shape {vertices.shape}, expected (node, 3)")
         if tetrahedra.ndim != 2 or tetrahedra.shape[1] != 4 or len(tetrahedra) == 0:
@@ -94,6 +97,11 @@ class TetMesh:
             vertices = np.concatenate([vertices, vertices[ends].mean(axis=1)])
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "tetrahedra", tetrahedra)
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Positions of the nodes that are corners of elements [m], shape ``(corner, 3)``."""
+        return self.vertices[: self.tetrahedra.max() + 1]
 
     @cached_property
     def elements(self) -> np.ndarray:
@@ -170,6 +178,17 @@ class TetMesh:
         """Edges of the boundary faces, each once, shape ``(edge, 2)``, lower index first."""
         edges = self.surface_triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
         return np.unique(np.sort(edges, axis=1), axis=0)
+
+
+def require_element_order(element_order: int) -> int:
+    """Return the order.
+
+    Raises:
+        InvalidMeshError: If there are no elements of that order.
+    """
+    if element_order not in LUMPED_SHARES:
+        raise InvalidMeshError(f"element_order = {element_order} is not available; give 1 or 2")
+    return element_order
 
 
 def signed_volumes(vertices: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:

@@ -18,7 +18,8 @@ from defgrasp_ros.checks import require_in_range
 from defgrasp_ros.errors import InvalidMeshError, MeshTooLargeError, TetrahedralizationError
 from defgrasp_ros.mesh.cache import key_of, load, store
 from defgrasp_ros.mesh.limited_process import WorkerError, WorkerTimeoutError, run_worker
-from defgrasp_ros.mesh.tet_mesh import TetMesh, signed_volumes
+from defgrasp_ros.mesh.node_count import with_nodes
+from defgrasp_ros.mesh.tet_mesh import DEFAULT_ELEMENT_ORDER, TetMesh, signed_volumes
 from defgrasp_ros.mesh.triangle_size import REGULAR_TRIANGLE, with_triangle_size
 
 if TYPE_CHECKING:
@@ -28,10 +29,13 @@ MAX_TETRAHEDRA = 20_000
 """About 4500 nodes, for which each dense inverse of the simulation takes 1.5 GB."""
 
 DEFAULT_TETRAHEDRA, DEFAULT_BOUNDARY_FACES = 3_400, 1_100
-"""Size aimed at where no edge length is asked for: of a compact body, and of a thin one; about 1 000 nodes."""
+"""Size with which the search for a default begins, of elements of order 1: of a compact body, and of a thin one."""
 
 EDGE_BY_ORDER = {1: 1.0, 2: 2.5}
 """Edge lengths with which elements of both orders have about as many nodes, those of order 1 being 1."""
+
+TOO_COARSE = 0.7
+"""Factor on an edge length with which the mesher failed, in the search for a default."""
 
 TRIANGLES_PER_FACE = 3
 """Triangles kept for each boundary face of the mesh to come."""
@@ -39,8 +43,8 @@ TRIANGLES_PER_FACE = 3
 ENVELOPE = 0.1
 """How far the boundary may be from the surface, in edge lengths."""
 
-THIN_ENVELOPE = 0.2
-"""The same, in volume / area: a tenth of the thickness of a plate."""
+THIN_ENVELOPE = 0.4
+"""The same, in volume / area: a fifth of the thickness of a plate."""
 
 VOLUME_TOLERANCE = 0.1
 """Largest relative difference of volume that moving the boundary may mend; more means that parts are missing."""
@@ -64,7 +68,7 @@ def tetrahedralize(
     vertices: np.ndarray,
     triangles: np.ndarray,
     target_edge_length: float | None = None,
-    element_order: int = 1,
+    element_order: int = DEFAULT_ELEMENT_ORDER,
     volume: float | None = None,
 ) -> TetMesh:
     """Fill a closed surface with tetrahedra; equal input gives equal output.
@@ -72,8 +76,9 @@ def tetrahedralize(
     Args:
         vertices: Positions [m], shape ``(vertex, 3)``.
         triangles: Vertex indices, counter-clockwise from outside, shape ``(triangle, 3)``, without boundary.
-        target_edge_length: Edge length of the elements [m]; None: from the volume, for about 1 000 nodes.
-        element_order: Of the elements that the mesh is for; order 2 has more nodes to an edge, so the edges are longer.
+        target_edge_length: Edge length of the elements [m]; None: one that gives about 1 000 nodes.
+        element_order: Of the elements that the mesh is for; order 2 has more nodes to an edge, so edges made for a
+            number of nodes are longer.
         volume: Volume of the solid [m^3]; None: what the surface encloses, if it does not overlap itself.
 
     Raises:
@@ -83,12 +88,12 @@ def tetrahedralize(
     import trimesh
 
     surface = trimesh.Trimesh(vertices, triangles, process=False)
-    volume, area = float(volume or surface.volume), float(surface.area)
+    volume = float(volume or surface.volume)
     if target_edge_length is None:
-        edge_length = max(
-            _edge_length(volume, DEFAULT_TETRAHEDRA), (area / (REGULAR_TRIANGLE * DEFAULT_BOUNDARY_FACES)) ** 0.5
-        )
-        target_edge_length = EDGE_BY_ORDER[element_order] * edge_length
+        compact = _edge_length(volume, DEFAULT_TETRAHEDRA)
+        thin = (surface.area / (REGULAR_TRIANGLE * DEFAULT_BOUNDARY_FACES)) ** 0.5
+        first = EDGE_BY_ORDER[element_order] * max(compact, thin)
+        return with_nodes(lambda length: _fill(surface, volume, length), first, element_order, TOO_COARSE)
     check = require_in_range
     check(
         InvalidMeshError, "target_edge_length", target_edge_length, 0.0, surface.extents.max(), low_open=True, unit="m"
@@ -99,13 +104,18 @@ def tetrahedralize(
             f"target_edge_length = {target_edge_length:g} m asks for more than {MAX_TETRAHEDRA} tetrahedra; "
             f"give at least {finest:.2g} m"
         )
-    surface = with_triangle_size(surface, target_edge_length, TRIANGLES_PER_FACE)
-    envelope = min(ENVELOPE * target_edge_length, THIN_ENVELOPE * volume / area)
-    mesh = _run_tetwild(surface, target_edge_length, envelope)
+    return _fill(surface, volume, target_edge_length)
+
+
+def _fill(surface: trimesh.Trimesh, volume: float, edge_length: float) -> TetMesh:
+    """Fill a surface with tetrahedra of an edge length [m] that together have the volume [m^3]."""
+    triangles = with_triangle_size(surface, edge_length, TRIANGLES_PER_FACE)
+    envelope = min(ENVELOPE * edge_length, THIN_ENVELOPE * volume / surface.area)
+    mesh = _run_tetwild(triangles, edge_length, envelope)
     if abs(mesh.volume - volume) > VOLUME_TOLERANCE * volume:
         raise TetrahedralizationError(
             f"the tetrahedra fill {mesh.volume * 1e6:.3g} cm^3, but the surface encloses {volume * 1e6:.3g} cm^3: it "
-            f"overlaps itself, or has walls too thin for target_edge_length = {target_edge_length:.3g} m; unite the "
+            f"overlaps itself, or has walls too thin for target_edge_length = {edge_length:.3g} m; unite the "
             "overlapping parts, or give a smaller edge length"
         )
     return _with_volume(mesh, volume)

@@ -7,26 +7,28 @@ from collections.abc import Sequence
 import numpy as np
 
 from defgrasp_ros.mesh.shell import LAYERS, NODES_PER_VERTEX, layered_wall
-from defgrasp_ros.mesh.tet_mesh import TetMesh
+from defgrasp_ros.mesh.tet_mesh import DEFAULT_ELEMENT_ORDER, TetMesh
 from defgrasp_ros.objects.revolution import resampled, revolved
 
 NODES = 1_150
 """Nodes aimed at."""
 
 
-def tube(radius: float, height: float, wall: float, element_order: int = 1) -> TetMesh:
+def tube(radius: float, height: float, wall: float, element_order: int = DEFAULT_ELEMENT_ORDER) -> TetMesh:
     """Return an upright tube; ``radius`` is the outer one."""
     return _hollow([[radius, 0.0], [radius, height]], wall, element_order)
 
 
-def cup(radius: float, base_radius: float, height: float, wall: float, element_order: int = 1) -> TetMesh:
+def cup(
+    radius: float, base_radius: float, height: float, wall: float, element_order: int = DEFAULT_ELEMENT_ORDER
+) -> TetMesh:
     """Return a cup, open at the top, wider there than at its base."""
     fillet = 0.15 * base_radius
     corner = _arc((base_radius - fillet, fillet), fillet, -np.pi / 2.0, 0.0)
     return _hollow([[0.0, 0.0], *corner, [radius, height]], wall, element_order)
 
 
-def bowl(radius: float, height: float, wall: float, element_order: int = 1) -> TetMesh:
+def bowl(radius: float, height: float, wall: float, element_order: int = DEFAULT_ELEMENT_ORDER) -> TetMesh:
     """Return a bowl: part of an ellipsoid on a flat foot, open at the top."""
     angles = np.linspace(0.0, np.pi / 2.0, 40)
     profile = np.column_stack([radius * np.sin(angles), height * (1.0 - np.cos(angles))])
@@ -36,7 +38,12 @@ def bowl(radius: float, height: float, wall: float, element_order: int = 1) -> T
 
 
 def bottle(
-    radius: float, neck_radius: float, height: float, wall: float, flatness: float = 1.0, element_order: int = 1
+    radius: float,
+    neck_radius: float,
+    height: float,
+    wall: float,
+    flatness: float = 1.0,
+    element_order: int = DEFAULT_ELEMENT_ORDER,
 ) -> TetMesh:
     """Return a bottle, open at the top; ``flatness`` is its depth along y relative to its width."""
     fillet, shoulder = 0.25 * radius, 0.62 * height

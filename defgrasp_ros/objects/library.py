@@ -14,7 +14,7 @@ from defgrasp_ros.configuration import config_file
 from defgrasp_ros.errors import InvalidOptionsError, NotFoundError
 from defgrasp_ros.material_library import MaterialRecord, find_material
 from defgrasp_ros.mesh.object_mesh import prepare_surface
-from defgrasp_ros.mesh.tet_mesh import TetMesh
+from defgrasp_ros.mesh.tet_mesh import DEFAULT_ELEMENT_ORDER, TetMesh, require_element_order
 from defgrasp_ros.object_model import ObjectModel
 
 CATEGORIES = ("primitive", "hollow", "food", "organ")
@@ -59,30 +59,31 @@ class LibraryObject:
         used, triangles = np.unique(made.surface_triangles, return_inverse=True)
         return _placed(made.vertices[used]), triangles.reshape(-1, 3)
 
-    def mesh(self, target_edge_length: float | None = None, element_order: int = 1) -> TetMesh:
+    def mesh(self, target_edge_length: float | None = None, element_order: int | None = None) -> TetMesh:
         """Return its tetrahedra, made once, then cached.
 
         Args:
             target_edge_length: Edge length [m]; None: for about 1 000 nodes.
-            element_order: 1 or 2, see :class:`TetMesh`.
+            element_order: 1 or 2, see :class:`TetMesh`; None: 2.
 
         Raises:
             InvalidOptionsError: If an edge length is given for a hollow object, whose walls have their own.
             InvalidMeshError: As ``prepare_surface``.
         """
-        made = self._make(element_order)
+        order = require_element_order(DEFAULT_ELEMENT_ORDER if element_order is None else element_order)
+        made = self._make(order)
         if isinstance(made, TetMesh):
             if target_edge_length is not None:
                 raise InvalidOptionsError(f"{self.name} is hollow: its mesh has a fixed target_edge_length")
-            return TetMesh(_placed(made.vertices), made.tetrahedra, element_order)
-        options = {"target_edge_length": target_edge_length, "element_order": element_order}
+            return TetMesh(_placed(made.vertices), made.tetrahedra, order)
+        options = {"target_edge_length": target_edge_length, "element_order": order}
         return prepare_surface(_placed(made[0]), made[1], **options).logged()
 
-    def model(self, target_edge_length: float | None = None, element_order: int = 1) -> ObjectModel:
+    def model(self, target_edge_length: float | None = None, element_order: int | None = None) -> ObjectModel:
         """Return mesh and default material; arguments and errors as of ``mesh``."""
         return ObjectModel(self.name, self.mesh(target_edge_length, element_order), self.material.material)
 
-    def _make(self, element_order: int = 1) -> TetMesh | tuple[np.ndarray, np.ndarray]:
+    def _make(self, element_order: int = DEFAULT_ELEMENT_ORDER) -> TetMesh | tuple[np.ndarray, np.ndarray]:
         order = {"element_order": element_order} if self.shape in HOLLOWS else {}
         return _shape_function(self.shape)(**self.dimensions, **order)
 

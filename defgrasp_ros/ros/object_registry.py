@@ -74,26 +74,36 @@ class ObjectRegistry:
         with self._lock:
             return list(self._meshes)
 
-    def mesh(self, name: str) -> TetMesh:
+    def mesh(self, name: str, element_order: int | None = None) -> TetMesh:
         """Return the mesh of a registered object, or of one of the library.
+
+        Args:
+            name: Of the object.
+            element_order: 1 or 2, see :class:`TetMesh`; None: that of the registered object, 2 for the library.
 
         Raises:
             NotFoundError: If there is neither.
+            InvalidMeshError: If a registered object is of another order.
         """
         with self._lock:
             mesh = self._meshes.get(name)
             listed = self._listed()
         if mesh is not None:
+            if element_order not in (None, mesh.element_order):
+                raise InvalidMeshError(
+                    f"element_order = {element_order}, but object '{name}' is registered with {mesh.element_order}; "
+                    "leave it out, or register the object again"
+                )
             return mesh
         if name not in object_library():
             raise NotFoundError(
                 f"object '{name}' is neither registered ({listed}) nor in the library ({', '.join(object_library())})"
             )
-        return find_object(name).mesh()
+        return find_object(name).mesh(element_order=element_order)
 
-    def prepared(self, name: str) -> PreparedMesh:
+    def prepared(self, name: str, element_order: int | None = None) -> PreparedMesh:
         """Return the mesh as one that was prepared before; errors as of ``mesh``."""
-        return PreparedMesh(self.mesh(name), None, None, 1, (), ())
+        return PreparedMesh(self.mesh(name, element_order), None, None, 1, (), ())
 
     def surface(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Return vertices [m] and triangles of the surface of an object; errors as of ``mesh``."""

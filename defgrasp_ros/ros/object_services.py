@@ -89,6 +89,7 @@ class ObjectServices:
         response.result = msg.Result(code=ResultCode.OK)
         response.object_id = name
         response.vertex_count, response.tetrahedron_count = report.nodes, report.tetrahedra
+        response.element_order = report.element_order
         response.volume, response.mass = report.volume, report.mass
         x, y, z = map(float, report.center_of_mass)
         response.center_of_mass = Point(x=x, y=y, z=z)

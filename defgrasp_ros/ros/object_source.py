@@ -18,11 +18,13 @@ class MeshFile:
         path: Surface (``.stl``, ``.obj``, ``.ply``, ``.off``) or tetrahedra (``.tet``, ``.msh``).
         scale: Factor on all vertices [-], e.g. 0.001 for a file in millimetres.
         target_edge_length: Edge length of the tetrahedra made from a surface [m]; None: from the object's size.
+        element_order: 1 or 2, see :class:`TetMesh`; None: 2 for a surface, tetrahedra as they are.
     """
 
     path: Path | str
     scale: float = 1.0
     target_edge_length: float | None = None
+    element_order: int | None = None
 
 
 @dataclass(frozen=True)
@@ -34,12 +36,14 @@ class MeshData:
         format: Its suffix without dot, e.g. ``"stl"``.
         scale: Factor on all vertices [-].
         target_edge_length: Edge length of the tetrahedra made from a surface [m]; None: from the object's size.
+        element_order: 1 or 2, see :class:`TetMesh`; None: 2 for a surface, tetrahedra as they are.
     """
 
     data: bytes
     format: str
     scale: float = 1.0
     target_edge_length: float | None = None
+    element_order: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +54,13 @@ class Surface:
         vertices: Positions in the object frame [m], shape ``(vertex, 3)``.
         triangles: Vertex indices, counter-clockwise from outside, shape ``(triangle, 3)``.
         target_edge_length: Edge length of the tetrahedra [m]; None: from the object's size.
+        element_order: 1 or 2, see :class:`TetMesh`; None: 2.
     """
 
     vertices: np.ndarray
     triangles: np.ndarray
     target_edge_length: float | None = None
+    element_order: int | None = None
 
 
 @dataclass(frozen=True)
@@ -63,9 +69,12 @@ class RegisteredObject:
 
     Args:
         name: Its name.
+        element_order: 1 or 2, see :class:`TetMesh`, for an object of the library; None: 2. Registered objects have
+            their own.
     """
 
     name: str
+    element_order: int | None = None
 
 
 ObjectSource = MeshFile | MeshData | Surface | TetMesh | RegisteredObject

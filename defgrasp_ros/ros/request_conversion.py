@@ -133,17 +133,17 @@ def object_to_message(source: ObjectSource, material: Material, name: str = "") 
         case RegisteredObject():
             message.uri = OBJECT_SCHEME + source.name
             message.name = name or source.name
-            return message
         case TetMesh():
-            message.tetrahedra.vertices = flat(source.vertices)
+            message.tetrahedra.vertices = flat(source.corners)
             message.tetrahedra.tetrahedra = flat(source.tetrahedra, "I")
-            return message
         case _:
             kind = type(source).__name__
             raise TypeError(
                 f"the shape of an object is a MeshFile, MeshData, Surface, TetMesh or RegisteredObject, not {kind}"
             )
-    message.target_edge_length = float(source.target_edge_length or 0.0)
+    message.element_order = source.element_order or 0
+    if isinstance(source, MeshFile | MeshData | Surface):
+        message.target_edge_length = float(source.target_edge_length or 0.0)
     return message
 
 
@@ -201,11 +201,12 @@ def _prepared(message: msg.ObjectModel, mesh_directories: Sequence[Path], regist
         )
     scale = require_in_range(InvalidMeshError, "object.scale", message.scale, 0.0) or 1.0
     size = require_in_range(InvalidMeshError, "object.target_edge_length", message.target_edge_length, 0.0, unit="m")
-    options = {"scale": scale, "target_edge_length": size or None}
+    order = message.element_order or None
+    options = {"scale": scale, "target_edge_length": size or None, "element_order": order}
     try:
         match given[0]:
             case "uri" if message.uri.startswith(OBJECT_SCHEME):
-                return registry.prepared(message.uri.removeprefix(OBJECT_SCHEME))
+                return registry.prepared(message.uri.removeprefix(OBJECT_SCHEME), order)
             case "uri":
                 return prepare_file(path_of_uri(message.uri, mesh_directories), **options)
             case "data":
@@ -218,7 +219,7 @@ def _prepared(message: msg.ObjectModel, mesh_directories: Sequence[Path], regist
             case _:
                 vertices = _rows_of("vertices", message.tetrahedra.vertices, 3)
                 tetrahedra = _rows_of("tetrahedra", message.tetrahedra.tetrahedra, 4)
-                return prepare_tetrahedra(vertices, tetrahedra.astype(np.int64), scale=scale)
+                return prepare_tetrahedra(vertices, tetrahedra.astype(np.int64), scale=scale, element_order=order)
     except InvalidMeshError as error:
         raise type(error)(f"object.{given[0]}: {error}") from error
 
