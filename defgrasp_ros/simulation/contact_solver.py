@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from defgrasp_ros.simulation.kernels_block_matrix import half_size
 from defgrasp_ros.simulation.kernels_contact_solver import solve_contacts
 from defgrasp_ros.simulation.kernels_coulomb import ContactProblems
 from defgrasp_ros.simulation.kernels_interior_point import InteriorPointBuffers
@@ -39,10 +40,11 @@ class ContactSolver:
         """How many of them had to be factorised."""
 
         base = self._base = Base()
-        base.valid, base.pressed_count, base.column_count = (zeros(int) for _ in range(3))
+        base.valid, base.sticking_count, base.pressed_count, base.column_count = (zeros(int) for _ in range(4))
         base.scale, base.shift = zeros(wp.float64), zeros(wp.float64)
         base.pressed, base.place_of_column = zeros(int, capacity), zeros(int, capacity)
-        base.slope, base.factors = zeros(mat33d, capacity), zeros(mat33d, capacity, capacity)
+        base.slope, base.factors = zeros(mat33d, capacity), zeros(mat33d, half_size(capacity))
+        base.sliding_factors = zeros(mat33d, capacity, capacity)
         base.contact, base.product = zeros(int, COLUMNS), zeros(mat33d, COLUMNS, COLUMNS)
         base.column = wp.zeros((world_count * COLUMNS, capacity), dtype=mat33d, device=device)
 
@@ -60,7 +62,7 @@ class ContactSolver:
             setattr(self._newton, name, zeros(vec3d, capacity))
 
         self._interior = InteriorPointBuffers()
-        self._interior.system = base.factors
+        self._interior.system = base.sliding_factors
         for name in ("offset", "x", "z", "missing", "dx", "dz", "force", "motion", "best"):
             setattr(self._interior, name, zeros(vec3d, capacity))
 

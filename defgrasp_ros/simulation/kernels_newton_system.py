@@ -20,7 +20,16 @@ from typing import Any
 import warp as wp
 
 from defgrasp_ros.simulation.kernels_alart_curnier import alart_curnier_slope, phi
-from defgrasp_ros.simulation.kernels_block_matrix import factorise, multiply_symmetric, solve_factorised
+from defgrasp_ros.simulation.kernels_block_matrix import (
+    block_of_symmetric,
+    eliminate_symmetric,
+    factorise,
+    multiply_symmetric,
+    place_in_half,
+    solve_factorised,
+    substitute_backwards,
+    substitute_forwards,
+)
 from defgrasp_ros.simulation.kernels_coulomb import ContactProblems
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
@@ -46,9 +55,11 @@ class Base:
     scale: wp.array[wp.float64]  # (world,): r [m/N]
     shift: wp.array[wp.float64]  # (world,): s [m/N]
     slope: wp.array2d[mat33d]  # (world, contact): S_0
-    pressed: wp.array2d[int]  # (world, place): contacts with S_0 other than 0
+    pressed: wp.array2d[int]  # (world, place): contacts with S_0 other than 0; first those with S_0 = 1, which stick
+    sticking_count: wp.array[int]  # (world,)
     pressed_count: wp.array[int]  # (world,)
-    factors: wp.array3d[mat33d]  # (world, place, place): L and U of the pressed contacts
+    factors: wp.array2d[mat33d]  # (world, place): 1 + G of the pressed contacts, those that stick eliminated
+    sliding_factors: wp.array3d[mat33d]  # (world, place, place): L and U of what is left for the others
     column_count: wp.array[int]  # (world,)
     place_of_column: wp.array2d[int]  # (world, contact): k of its column; -1: none so far
     contact: wp.array2d[int]  # (world, k): c
@@ -149,27 +160,54 @@ def is_zero(x: Any) -> bool:
 
 
 @wp.func
+def is_sticking(slope: mat33d) -> bool:
+    """Whether a slope is that of a sticking contact."""
+    return slope == wp.identity(n=3, dtype=wp.float64)
+
+
+@wp.func
 def factorise_base(problems: ContactProblems, systems: NewtonSystems, row: int, scale: wp.float64, shift: wp.float64):
-    """Make the system of this row the base of its world."""
+    """Make the system of this row the base of its world.
+
+    Rows of sticking contacts are those of the symmetric 1 + G. Once they are eliminated, the others with what is left
+    of 1 + G, H, have the system 1 - S + S H.
+    """
     base = systems.base
     w = problems.worlds[row]
-    closed = int(0)
-    for c in range(problems.count[w]):
+    count = problems.count[w]
+    sticking = int(0)
+    for c in range(count):
         slope = systems.slope[row, c]
         base.slope[w, c] = slope
         base.place_of_column[w, c] = -1
-        if not is_zero(slope):
+        if is_sticking(slope):
+            base.pressed[w, sticking] = c
+            sticking += 1
+    closed = int(sticking)
+    for c in range(count):
+        slope = systems.slope[row, c]
+        if not is_zero(slope) and not is_sticking(slope):
             base.pressed[w, closed] = c
             closed += 1
+    own = (shift / scale + REGULARISATION) * wp.identity(n=3, dtype=wp.float64)
+    place = int(0)
     for a in range(closed):
         c = base.pressed[w, a]
-        slope = base.slope[w, c]
-        scaled = slope / scale
-        for b in range(closed):
-            base.factors[w, a, b] = scaled * problems.matrix[w, c, base.pressed[w, b]]
-        own = shift / scale - (wp.float64(1.0) - REGULARISATION)
-        base.factors[w, a, a] = base.factors[w, a, a] + wp.identity(n=3, dtype=wp.float64) + own * slope
-    factorise(base.factors, w, closed)
+        for b in range(a, closed):
+            block = block_of_symmetric(problems.matrix, w, c, base.pressed[w, b], count)
+            base.factors[w, place + b - a] = block * (wp.float64(1.0) / scale)
+        base.factors[w, place] = base.factors[w, place] + own
+        place += closed - a
+    eliminate_symmetric(base.factors, w, closed, sticking)
+    sliding = closed - sticking
+    for a in range(sliding):
+        slope = base.slope[w, base.pressed[w, sticking + a]]
+        for b in range(sliding):
+            rest = block_of_symmetric(base.factors, w, sticking + a, sticking + b, closed)
+            base.sliding_factors[w, a, b] = slope * rest
+        base.sliding_factors[w, a, a] = base.sliding_factors[w, a, a] + wp.identity(n=3, dtype=wp.float64) - slope
+    factorise(base.sliding_factors, w, sliding)
+    base.sticking_count[w] = sticking
     base.pressed_count[w] = closed
     base.column_count[w] = 0
     base.scale[w] = scale
@@ -184,32 +222,41 @@ def solve_base(
 ):
     """Replace x by M^-1 x; ``part`` is work space."""
     count = problems.count[w]
+    sticking = base.sticking_count[w]
     closed = base.pressed_count[w]
     for a in range(closed):
         part[row, a] = x[x_row, base.pressed[w, a]] * wp.float64(0.0)
     for c in range(count):
         if is_zero(base.slope[w, c]) and not is_zero(x[x_row, c]):
+            known = x[x_row, c] / base.scale[w]
             for a in range(closed):
-                part[row, a] = part[row, a] + problems.matrix[w, base.pressed[w, a], c] * x[x_row, c]
-    first = int(closed)
-    for a in range(closed):
-        c = base.pressed[w, a]
-        right_side = x[x_row, c] - base.slope[w, c] * part[row, a] / base.scale[w]
-        part[row, a] = right_side
-        if first == closed and not is_zero(right_side):
+                block = block_of_symmetric(problems.matrix, w, base.pressed[w, a], c, count)
+                part[row, a] = part[row, a] - block * known
+    first = int(sticking)
+    for a in range(sticking):
+        part[row, a] = part[row, a] + x[x_row, base.pressed[w, a]]
+        if first == sticking and not is_zero(part[row, a]):
             first = a
-    solve_factorised(base.factors, w, closed, part, row, first)
+    substitute_forwards(base.factors, w, closed, sticking, part, row, first)
+    for a in range(sticking, closed):
+        c = base.pressed[w, a]
+        part[row, a] = x[x_row, c] + base.slope[w, c] * part[row, a]
+    solve_factorised(base.sliding_factors, w, closed - sticking, part, row, sticking)
+    substitute_backwards(base.factors, w, closed, sticking, part, row)
     for a in range(closed):
         x[x_row, base.pressed[w, a]] = part[row, a]
 
 
 @wp.func
-def times_row(problems: ContactProblems, base: Base, w: int, c: int, x: wp.array2d[Any], row: int):
-    """Return G_c x."""
+def times_row(problems: ContactProblems, base: Base, w: int, c: int, x: wp.array2d[Any], row: int, right_side: Any):
+    """Return G_c x, for the solution x of M x = b; ``right_side`` is b_c."""
+    if is_sticking(base.slope[w, c]):
+        return right_side - x[row, c]  # row c of M is that of 1 + G
+    count = problems.count[w]
     own = base.shift[w] - (wp.float64(1.0) - REGULARISATION) * base.scale[w]
     total = own * x[row, c]
-    for j in range(problems.count[w]):
-        total += problems.matrix[w, c, j] * x[row, j]
+    for j in range(count):
+        total += block_of_symmetric(problems.matrix, w, c, j, count) * x[row, j]
     return total / base.scale[w]
 
 
@@ -226,10 +273,12 @@ def add_column(problems: ContactProblems, systems: NewtonSystems, row: int, cont
     base.contact[w, k] = contact
     base.place_of_column[w, contact] = k
     base.column_count[w] = k + 1
+    zero = mat33d()
+    one = wp.identity(n=3, dtype=wp.float64)
     for j in range(k):
-        base.product[w, k, j] = times_row(problems, base, w, contact, base.column, COLUMNS * w + j)
-        base.product[w, j, k] = times_row(problems, base, w, base.contact[w, j], base.column, COLUMNS * w + k)
-    base.product[w, k, k] = times_row(problems, base, w, contact, base.column, COLUMNS * w + k)
+        base.product[w, k, j] = times_row(problems, base, w, contact, base.column, COLUMNS * w + j, zero)
+        base.product[w, j, k] = times_row(problems, base, w, base.contact[w, j], base.column, COLUMNS * w + k, zero)
+    base.product[w, k, k] = times_row(problems, base, w, contact, base.column, COLUMNS * w + k, one)
 
 
 # --- systems that differ from it --------------------------------------------------------------------------------------
@@ -251,7 +300,7 @@ def list_changed_contacts(
         largest = wp.float64(0.0)
         for i in range(3):
             largest = wp.max(largest, wp.max(wp.abs(difference[i])))
-        if largest * (scale + wp.trace(problems.matrix[w, c, c])) > SLOPE_TOLERANCE * scale:
+        if largest * (scale + wp.trace(block_of_symmetric(problems.matrix, w, c, c, problems.count[w]))) > SLOPE_TOLERANCE * scale:
             if base.place_of_column[w, c] < 0:
                 columns += 1
             if columns > COLUMNS:
@@ -281,7 +330,8 @@ def solve_changed(problems: ContactProblems, systems: NewtonSystems, row: int, c
         c = systems.changed[row, i]
         k = base.place_of_column[w, c]
         difference = systems.slope[row, c] - base.slope[w, c]
-        systems.unknown[row, i] = difference * times_row(problems, base, w, c, systems.direction, row)
+        right_side = -systems.value[row, c]
+        systems.unknown[row, i] = difference * times_row(problems, base, w, c, systems.direction, row, right_side)
         for j in range(changed_count):
             other = base.place_of_column[w, systems.changed[row, j]]
             systems.matrix[row, i, j] = difference * base.product[w, k, other]
