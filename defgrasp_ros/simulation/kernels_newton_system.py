@@ -25,7 +25,6 @@ from defgrasp_ros.simulation.kernels_block_matrix import (
     eliminate_symmetric,
     factorise,
     multiply_symmetric,
-    place_in_half,
     solve_factorised,
     substitute_backwards,
     substitute_forwards,
@@ -293,14 +292,16 @@ def list_changed_contacts(
     w = problems.worlds[row]
     if base.valid[w] == 0 or base.scale[w] != scale or base.shift[w] != shift:
         return -1
+    count = problems.count[w]
     changed = int(0)
     columns = base.column_count[w]
-    for c in range(problems.count[w]):
+    for c in range(count):
         difference = systems.slope[row, c] - base.slope[w, c]
         largest = wp.float64(0.0)
         for i in range(3):
             largest = wp.max(largest, wp.max(wp.abs(difference[i])))
-        if largest * (scale + wp.trace(block_of_symmetric(problems.matrix, w, c, c, problems.count[w]))) > SLOPE_TOLERANCE * scale:
+        own = wp.trace(block_of_symmetric(problems.matrix, w, c, c, count))
+        if largest * (scale + own) > SLOPE_TOLERANCE * scale:
             if base.place_of_column[w, c] < 0:
                 columns += 1
             if columns > COLUMNS:
