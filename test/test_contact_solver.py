@@ -11,6 +11,7 @@ from defgrasp_ros.simulation.kernels_block_matrix import (
     eliminate_symmetric,
     factorise,
     multiply_symmetric,
+    scale_by_pivots,
     solve_factorised,
     substitute_backwards,
     substitute_forwards,
@@ -274,7 +275,7 @@ def _solve_linear(matrix: wp.array3d[mat33d], x: wp.array2d[vec3d]):
     """Solve one system per row."""
     i = wp.tid()
     factorise(matrix, i, matrix.shape[1])
-    solve_factorised(matrix, i, matrix.shape[1], x, i, 0)
+    solve_factorised(matrix, i, matrix.shape[1], x, i)
 
 
 def test_block_elimination_agrees_with_lapack():
@@ -291,7 +292,12 @@ def test_block_elimination_agrees_with_lapack():
 
 @wp.kernel
 def _solve_symmetric(
-    half: wp.array2d[mat33d], rest: wp.array3d[mat33d], pivots: int, x: wp.array2d[vec3d], product: wp.array2d[vec3d]
+    half: wp.array2d[mat33d],
+    rest: wp.array3d[mat33d],
+    others: wp.array2d[vec3d],
+    pivots: int,
+    x: wp.array2d[vec3d],
+    product: wp.array2d[vec3d],
 ):
     """Take the product A x, then solve A x = b per row: the first unknowns by symmetric elimination."""
     i = wp.tid()
@@ -303,7 +309,12 @@ def _solve_symmetric(
         for b in range(count - pivots):
             rest[i, a, b] = block_of_symmetric(half, i, pivots + a, pivots + b, count)
     factorise(rest, i, count - pivots)
-    solve_factorised(rest, i, count - pivots, x, i, pivots)
+    for a in range(count - pivots):
+        others[i, a] = x[i, pivots + a]
+    solve_factorised(rest, i, count - pivots, others, i)
+    for a in range(count - pivots):
+        x[i, pivots + a] = others[i, a]
+    scale_by_pivots(half, i, count, pivots, x, i)
     substitute_backwards(half, i, count, pivots, x, i)
 
 
@@ -315,8 +326,8 @@ def test_symmetric_elimination_agrees_with_lapack(pivots):
     matrix = factor @ factor.transpose(0, 2, 1) + np.eye(21)
     half = wp.array(np.stack([upper_half(m) for m in matrix]), dtype=mat33d, device="cpu")
     x = wp.array(right_side.reshape(2, 7, 3), dtype=vec3d, device="cpu")
-    rest, product = wp.zeros((2, 7, 7), dtype=mat33d, device="cpu"), wp.zeros_like(x)
-    wp.launch(_solve_symmetric, dim=2, inputs=[half, rest, pivots, x, product], device="cpu")
+    rest, others, product = wp.zeros((2, 7, 7), dtype=mat33d, device="cpu"), wp.zeros_like(x), wp.zeros_like(x)
+    wp.launch(_solve_symmetric, dim=2, inputs=[half, rest, others, pivots, x, product], device="cpu")
     np.testing.assert_allclose(product.numpy(), (matrix @ right_side[:, :, None]).reshape(2, 7, 3), rtol=1e-10)
     expected = np.linalg.solve(matrix, right_side[:, :, None]).reshape(2, 7, 3)
     np.testing.assert_allclose(x.numpy(), expected, rtol=1e-8)

@@ -42,19 +42,17 @@ class ContactSolver:
         base = self._base = Base()
         base.valid, base.sticking_count, base.pressed_count, base.column_count = (zeros(int) for _ in range(4))
         base.scale, base.shift = zeros(wp.float64), zeros(wp.float64)
-        base.pressed, base.place_of_column = zeros(int, capacity), zeros(int, capacity)
-        base.slope, base.factors = zeros(mat33d, capacity), zeros(mat33d, half_size(capacity))
-        base.sliding_factors = zeros(mat33d, capacity, capacity)
+        base.pressed, base.place, base.column_of = (zeros(int, capacity) for _ in range(3))
+        base.factors = zeros(mat33d, half_size(capacity))
         base.contact, base.product = zeros(int, COLUMNS), zeros(mat33d, COLUMNS, COLUMNS)
         base.column = wp.zeros((world_count * COLUMNS, capacity), dtype=mat33d, device=device)
 
         systems = NewtonSystems()
         systems.base, systems.solved, systems.factorised = base, self.systems, self.factorised
-        for name in ("value", "direction", "change", "pressed_part"):
+        for name in ("value", "direction", "change", "load", "part", "unknown"):
             setattr(systems, name, zeros(vec3d, capacity))
-        systems.slope, systems.pressed_column = zeros(mat33d, capacity), zeros(mat33d, capacity)
-        systems.changed, systems.unknown = zeros(int, COLUMNS), zeros(vec3d, COLUMNS)
-        systems.matrix = zeros(mat33d, COLUMNS, COLUMNS)
+        systems.slope, systems.column_part = zeros(mat33d, capacity), zeros(mat33d, capacity)
+        systems.changed, systems.matrix = zeros(int, COLUMNS), zeros(mat33d, capacity, capacity)
 
         self._newton = NewtonBuffers()
         self._newton.systems = systems
@@ -62,7 +60,7 @@ class ContactSolver:
             setattr(self._newton, name, zeros(vec3d, capacity))
 
         self._interior = InteriorPointBuffers()
-        self._interior.system = base.sliding_factors
+        self._interior.system = systems.matrix
         for name in ("offset", "x", "z", "missing", "dx", "dz", "force", "motion", "best"):
             setattr(self._interior, name, zeros(vec3d, capacity))
 

@@ -83,7 +83,7 @@ def substitute_forwards(
 ):
     """Replace x by U^-T x, with the rows of U that ``eliminate_symmetric`` made; entries before ``first`` are 0.
 
-    In the other rows it leaves what the eliminated unknowns take from the right-hand side.
+    From the other rows it takes what the eliminated unknowns contribute to them.
     """
     for i in range(first, pivots):
         own = x[row, i]
@@ -93,12 +93,19 @@ def substitute_forwards(
 
 
 @wp.func
+def scale_by_pivots(half: wp.array2d[mat33d], m: int, count: int, pivots: int, x: wp.array2d[Any], row: int):
+    """Replace the eliminated unknowns x by D^-1 x."""
+    for i in range(pivots):
+        x[row, i] = half[m, place_in_half(i, i, count)] * x[row, i]
+
+
+@wp.func
 def substitute_backwards(half: wp.array2d[mat33d], m: int, count: int, pivots: int, x: wp.array2d[Any], row: int):
-    """Finish the eliminated unknowns, after ``substitute_forwards`` and the solution for the others."""
+    """Replace U x by x in the eliminated unknowns; the others are known."""
     for n in range(pivots):
         i = pivots - 1 - n
         begin = place_in_half(i, 0, count)
-        total = half[m, begin + i] * x[row, i]
+        total = x[row, i]
         for j in range(i + 1, count):
             total -= half[m, begin + j] * x[row, j]
         x[row, i] = total
@@ -121,16 +128,16 @@ def factorise(matrix: wp.array3d[mat33d], row: int, count: int):
 
 
 @wp.func
-def solve_factorised(matrix: wp.array3d[mat33d], m: int, count: int, x: wp.array2d[Any], row: int, begin: int):
-    """Replace the ``count`` entries of x from ``begin`` on, vectors or blocks, by A^-1 x, after ``factorise``."""
+def solve_factorised(matrix: wp.array3d[mat33d], m: int, count: int, x: wp.array2d[vec3d], row: int):
+    """Replace the right-hand side x of ``row`` by A^-1 x, after ``factorise`` of matrix ``m``."""
     for i in range(1, count):
-        total = x[row, begin + i]
+        total = x[row, i]
         for j in range(i):
-            total -= matrix[m, i, j] * x[row, begin + j]
-        x[row, begin + i] = total
+            total -= matrix[m, i, j] * x[row, j]
+        x[row, i] = total
     for n in range(count):
         i = count - 1 - n
-        total = x[row, begin + i]
+        total = x[row, i]
         for j in range(i + 1, count):
-            total -= matrix[m, i, j] * x[row, begin + j]
-        x[row, begin + i] = matrix[m, i, i] * total
+            total -= matrix[m, i, j] * x[row, j]
+        x[row, i] = matrix[m, i, i] * total

@@ -79,7 +79,6 @@ def solve_contacts(
         if attempt == INTERIOR:
             if problems.friction == wp.float64(0.0):
                 continue
-            newton_buffers.systems.base.valid[w] = 0  # its factors are overwritten
             interior_point(problems, interior_buffers, i, level, tolerance[i])
             scale = SMALL_SCALE * mean
             for c in range(count):

@@ -188,7 +188,7 @@ def find_step(problems: ContactProblems, buffers: InteriorPointBuffers, row: int
         aim = target * inverse_in_cone(buffers.x[row, c]) - z
         buffers.dz[row, c] = aim
         buffers.dx[row, c] = shift_jacobian(z) * aim - buffers.missing[row, c]
-    solve_factorised(buffers.system, w, count, buffers.dx, row, 0)
+    solve_factorised(buffers.system, w, count, buffers.dx, row)
     limit = LARGEST
     for c in range(count):
         x = buffers.x[row, c]
