@@ -41,7 +41,7 @@ class ContactSolver:
 
         base = self._base = Base()
         base.valid, base.sticking_count, base.pressed_count, base.column_count = (zeros(int) for _ in range(4))
-        base.scale, base.shift = zeros(wp.float64), zeros(wp.float64)
+        base.scale, base.shift, base.spent = (zeros(wp.float64) for _ in range(3))
         base.pressed, base.place, base.column_of = (zeros(int, capacity) for _ in range(3))
         base.factors = zeros(mat33d, half_size(capacity))
         base.contact, base.product = zeros(int, COLUMNS), zeros(mat33d, COLUMNS, COLUMNS)

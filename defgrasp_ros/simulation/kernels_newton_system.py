@@ -47,10 +47,8 @@ REGULARISATION = wp.constant(wp.float64(1e-6))
 """epsilon [-]: neighbouring points can depend on each other, this picks one of the equal solutions."""
 COLUMNS = wp.constant(32)
 """Columns of the inverse that a world can keep."""
-COLUMN_COST = wp.constant(4)
-"""Of new factors, a column costs this part divided by the number of pressed contacts [-]; measured on a processor."""
-LARGEST_DEFECT = wp.constant(wp.float64(5e-2))
-"""What a direction from earlier factors may miss of its system, relative to Phi [-]."""
+LARGEST_DEFECT = wp.constant(wp.float64(1e-6))
+"""What a direction from earlier factors may miss of its system, relative to Phi [-]: rounding, but no more."""
 
 
 @wp.struct
@@ -65,6 +63,7 @@ class Base:
     sticking_count: wp.array[int]  # (world,): contacts of B
     pressed_count: wp.array[int]  # (world,): those of B and T
     factors: wp.array2d[mat33d]  # (world, place): upper half of U, inverses of D, and H
+    spent: wp.array[wp.float64]  # (world,): on differences from it, in products of 3 x 3 blocks
     column_count: wp.array[int]  # (world,)
     column_of: wp.array2d[int]  # (world, contact): k of its column; -1: none so far
     contact: wp.array2d[int]  # (world, k): c
@@ -212,6 +211,7 @@ def factorise_base(problems: ContactProblems, systems: NewtonSystems, row: int, 
     base.sticking_count[w] = sticking
     base.pressed_count[w] = pressed
     base.column_count[w] = 0
+    base.spent[w] = wp.float64(0.0)
     base.valid[w] = 1
     systems.factorised[row] = systems.factorised[row] + 1
 
@@ -292,10 +292,11 @@ def list_changed_contacts(
             systems.changed[row, changed] = c
             changed += 1
     small = base.pressed_count[w] - base.sticking_count[w] + changed
-    cost = cube(small) / wp.float64(3.0)
+    cost = base.spent[w] + (cube(small) - cube(sliding)) / wp.float64(3.0)
     cost += wp.float64(columns - base.column_count[w]) * wp.float64(pressed * pressed) / wp.float64(2.0)
-    if cost > cube(pressed) / wp.float64(6.0) + cube(sliding) / wp.float64(3.0):
+    if cost > cube(pressed) / wp.float64(6.0):
         return -1
+    base.spent[w] = cost
     return changed
 
 
