@@ -21,6 +21,7 @@ K_cc' for two outside, and f = -U^-T Phi_B, what is left is a small system for d
     (1 - S) s_c - S m_c = -Phi_c           of others,      m_c = z_c^T D^-1 f + sum_c' Q_cc' s_c' + q_c^T d_T,
 
 and then U d_B = D^-1 (f + sum_c z_c s_c) - (U d_T). Slopes come in only here, so a contact that slides may turn freely.
+Of an open contact outside d = -Phi is known; K d of these stands on the right-hand sides.
 """
 
 from typing import Any
@@ -46,7 +47,7 @@ wp.set_module_options({"enable_backward": False})
 REGULARISATION = wp.constant(wp.float64(1e-6))
 """epsilon [-]: neighbouring points can depend on each other, this picks one of the equal solutions."""
 COLUMNS = wp.constant(32)
-"""Columns of the inverse that a world can keep."""
+"""Columns that a world can keep."""
 LARGEST_DEFECT = wp.constant(wp.float64(1e-6))
 """What a direction from earlier factors may miss of its system, relative to Phi [-]: rounding, but no more."""
 
