@@ -6,7 +6,16 @@ import warp as wp
 
 from defgrasp_ros.simulation import kernels_coulomb as coulomb
 from defgrasp_ros.simulation.contact_solver import ContactSolver
-from defgrasp_ros.simulation.kernels_block_matrix import factorise, solve_factorised
+from defgrasp_ros.simulation.kernels_block_matrix import (
+    block_of_symmetric,
+    eliminate_symmetric,
+    factorise,
+    multiply_symmetric,
+    scale_by_pivots,
+    solve_factorised,
+    substitute_backwards,
+    substitute_forwards,
+)
 from defgrasp_ros.simulation.kernels_contact_solver import ATTEMPTS
 from defgrasp_ros.simulation.kernels_interior_point import InteriorPointBuffers, interior_point
 from defgrasp_ros.simulation.types import mat33d, vec3d
@@ -19,6 +28,11 @@ def blocks(matrix: np.ndarray) -> np.ndarray:
     """Return a square matrix as 3 x 3 blocks, shape ``(i, j, 3, 3)``."""
     count = len(matrix) // 3
     return np.ascontiguousarray(matrix.reshape(count, 3, count, 3).transpose(0, 2, 1, 3))
+
+
+def upper_half(matrix: np.ndarray) -> np.ndarray:
+    """Return the upper half of a symmetric matrix by rows of 3 x 3 blocks, shape ``(place, 3, 3)``."""
+    return blocks(matrix)[np.triu_indices(len(matrix) // 3)]
 
 
 def project_on_cone(v: np.ndarray, friction: float = FRICTION) -> np.ndarray:
@@ -50,7 +64,7 @@ def problem_of(
     force = np.zeros_like(offset) if start is None else start.ravel()
     problems.worlds = wp.array([0], dtype=int, device="cpu")
     problems.count = wp.array([count], dtype=int, device="cpu")
-    problems.matrix = wp.array(blocks(matrix)[None], dtype=mat33d, device="cpu")
+    problems.matrix = wp.array(upper_half(matrix)[None], dtype=mat33d, device="cpu")
     problems.force, problems.motion = (
         wp.array(a.reshape(1, count, 3), dtype=vec3d, device="cpu") for a in (force, matrix @ force + offset)
     )
@@ -261,7 +275,7 @@ def _solve_linear(matrix: wp.array3d[mat33d], x: wp.array2d[vec3d]):
     """Solve one system per row."""
     i = wp.tid()
     factorise(matrix, i, matrix.shape[1])
-    solve_factorised(matrix, i, matrix.shape[1], x, i, 0)
+    solve_factorised(matrix, i, matrix.shape[1], x, i)
 
 
 def test_block_elimination_agrees_with_lapack():
@@ -274,3 +288,46 @@ def test_block_elimination_agrees_with_lapack():
     wp.launch(_solve_linear, dim=2, inputs=[a, x], device="cpu")
     expected = np.linalg.solve(matrix, right_side[:, :, None]).reshape(2, 7, 3)
     np.testing.assert_allclose(x.numpy(), expected, rtol=1e-10, atol=1e-12)
+
+
+@wp.kernel
+def _solve_symmetric(
+    half: wp.array2d[mat33d],
+    rest: wp.array3d[mat33d],
+    others: wp.array2d[vec3d],
+    pivots: int,
+    x: wp.array2d[vec3d],
+    product: wp.array2d[vec3d],
+):
+    """Take the product A x, then solve A x = b per row: the first unknowns by symmetric elimination."""
+    i = wp.tid()
+    count = x.shape[1]
+    multiply_symmetric(half, i, count, x, product, i)
+    eliminate_symmetric(half, i, count, pivots)
+    substitute_forwards(half, i, count, pivots, x, i, 0)
+    for a in range(count - pivots):
+        for b in range(count - pivots):
+            rest[i, a, b] = block_of_symmetric(half, i, pivots + a, pivots + b, count)
+    factorise(rest, i, count - pivots)
+    for a in range(count - pivots):
+        others[i, a] = x[i, pivots + a]
+    solve_factorised(rest, i, count - pivots, others, i)
+    for a in range(count - pivots):
+        x[i, pivots + a] = others[i, a]
+    scale_by_pivots(half, i, count, pivots, x, i)
+    substitute_backwards(half, i, count, pivots, x, i)
+
+
+@pytest.mark.parametrize("pivots", [0, 4, 7])
+def test_symmetric_elimination_agrees_with_lapack(pivots):
+    """The upper half of a matrix is enough for its products and systems, whatever part of them is eliminated so."""
+    random = np.random.default_rng(4)
+    factor, right_side = random.normal(size=(2, 21, 21)), random.normal(size=(2, 21))
+    matrix = factor @ factor.transpose(0, 2, 1) + np.eye(21)
+    half = wp.array(np.stack([upper_half(m) for m in matrix]), dtype=mat33d, device="cpu")
+    x = wp.array(right_side.reshape(2, 7, 3), dtype=vec3d, device="cpu")
+    rest, others, product = wp.zeros((2, 7, 7), dtype=mat33d, device="cpu"), wp.zeros_like(x), wp.zeros_like(x)
+    wp.launch(_solve_symmetric, dim=2, inputs=[half, rest, others, pivots, x, product], device="cpu")
+    np.testing.assert_allclose(product.numpy(), (matrix @ right_side[:, :, None]).reshape(2, 7, 3), rtol=1e-10)
+    expected = np.linalg.solve(matrix, right_side[:, :, None]).reshape(2, 7, 3)
+    np.testing.assert_allclose(x.numpy(), expected, rtol=1e-8)

@@ -13,6 +13,7 @@ from defgrasp_ros.simulation import kernels_selection as selection
 from defgrasp_ros.simulation.contact_forces import ContactForces
 from defgrasp_ros.simulation.contact_solver import ContactSolver
 from defgrasp_ros.simulation.device_model import DeviceModel
+from defgrasp_ros.simulation.kernels_block_matrix import half_size
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
 from defgrasp_ros.simulation.types import mat33d, vec3d
 from defgrasp_ros.simulation.world_state import WorldState, clear_rows, set_entries
@@ -81,7 +82,7 @@ class ContactSet:
         self._problems = coulomb.ContactProblems()
         self._problems.count, self._problems.rho = self.lists.count, self._rho
         self._problems.friction = self._model.friction
-        self._problems.matrix = wp.zeros((worlds, capacity, capacity), dtype=mat33d, device=device)
+        self._problems.matrix = wp.zeros((worlds, half_size(capacity)), dtype=mat33d, device=device)
         self._problems.force, self._problems.motion = self._force, self._motion
         self._solver = ContactSolver(worlds, capacity, device)
         self.stale.fill_(1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from defgrasp_ros.simulation.kernels_block_matrix import half_size
 from defgrasp_ros.simulation.kernels_contact_solver import solve_contacts
 from defgrasp_ros.simulation.kernels_coulomb import ContactProblems
 from defgrasp_ros.simulation.kernels_interior_point import InteriorPointBuffers
@@ -39,20 +40,19 @@ class ContactSolver:
         """How many of them had to be factorised."""
 
         base = self._base = Base()
-        base.valid, base.pressed_count, base.column_count = (zeros(int) for _ in range(3))
-        base.scale, base.shift = zeros(wp.float64), zeros(wp.float64)
-        base.pressed, base.place_of_column = zeros(int, capacity), zeros(int, capacity)
-        base.slope, base.factors = zeros(mat33d, capacity), zeros(mat33d, capacity, capacity)
+        base.valid, base.sticking_count, base.pressed_count, base.column_count = (zeros(int) for _ in range(4))
+        base.scale, base.shift, base.spent = (zeros(wp.float64) for _ in range(3))
+        base.pressed, base.place, base.column_of = (zeros(int, capacity) for _ in range(3))
+        base.factors = zeros(mat33d, half_size(capacity))
         base.contact, base.product = zeros(int, COLUMNS), zeros(mat33d, COLUMNS, COLUMNS)
         base.column = wp.zeros((world_count * COLUMNS, capacity), dtype=mat33d, device=device)
 
         systems = NewtonSystems()
         systems.base, systems.solved, systems.factorised = base, self.systems, self.factorised
-        for name in ("value", "direction", "change", "pressed_part"):
+        for name in ("value", "direction", "change", "load", "part", "unknown"):
             setattr(systems, name, zeros(vec3d, capacity))
-        systems.slope, systems.pressed_column = zeros(mat33d, capacity), zeros(mat33d, capacity)
-        systems.changed, systems.unknown = zeros(int, COLUMNS), zeros(vec3d, COLUMNS)
-        systems.matrix = zeros(mat33d, COLUMNS, COLUMNS)
+        systems.slope, systems.column_part = zeros(mat33d, capacity), zeros(mat33d, capacity)
+        systems.changed, systems.matrix = zeros(int, COLUMNS), zeros(mat33d, capacity, capacity)
 
         self._newton = NewtonBuffers()
         self._newton.systems = systems
@@ -60,7 +60,7 @@ class ContactSolver:
             setattr(self._newton, name, zeros(vec3d, capacity))
 
         self._interior = InteriorPointBuffers()
-        self._interior.system = base.factors
+        self._interior.system = systems.matrix
         for name in ("offset", "x", "z", "missing", "dx", "dz", "force", "motion", "best"):
             setattr(self._interior, name, zeros(vec3d, capacity))
 

@@ -13,6 +13,7 @@ a . lambda, friction included.
 
 import warp as wp
 
+from defgrasp_ros.simulation.kernels_block_matrix import place_in_half
 from defgrasp_ros.simulation.kernels_faces import Bodies, is_pad
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
@@ -231,7 +232,7 @@ def assemble_contact_compliance(
     rotation: wp.array2d[mat33d],  # (world, node)
     finger_damping: wp.array[wp.float64],  # (world,) [N s/m]
     # Out:
-    matrix_out: wp.array3d[mat33d],  # (world, contact, contact) [m/N]
+    matrix_out: wp.array2d[mat33d],  # (world, place): upper half [m/N]
 ):
     """Gather W = J R P R^T J^T, and add what the fingers yield along the closing axis: h / c a a^T."""
     i, a, b = wp.tid()
@@ -259,5 +260,4 @@ def assemble_contact_compliance(
     block = contacts.frame[w, a] * block * wp.transpose(contacts.frame[w, b])
     if is_pad(contacts.body[w, a]) and is_pad(contacts.body[w, b]):
         block += step_length / finger_damping[w] * wp.outer(contacts.axis[w, a], contacts.axis[w, b])
-    matrix_out[w, a, b] = block
-    matrix_out[w, b, a] = wp.transpose(block)
+    matrix_out[w, place_in_half(a, b, contacts.count[w])] = block

@@ -11,6 +11,7 @@ The attempts, each from the forces of the iteration before:
 
 import warp as wp
 
+from defgrasp_ros.simulation.kernels_block_matrix import block_of_symmetric
 from defgrasp_ros.simulation.kernels_coulomb import ContactProblems
 from defgrasp_ros.simulation.kernels_interior_point import InteriorPointBuffers, interior_point
 from defgrasp_ros.simulation.kernels_newton import NewtonBuffers, newton
@@ -53,7 +54,7 @@ def solve_contacts(
     level = wp.float64(0.0)
     gap = wp.float64(0.0)
     for c in range(count):
-        trace += wp.trace(problems.matrix[w, c, c])
+        trace += wp.trace(block_of_symmetric(problems.matrix, w, c, c, count))
         level += wp.abs(problems.force[i, c][0])
         gap = wp.max(gap, wp.length(problems.motion[i, c]))
         force_out[i, c] = problems.force[i, c]
@@ -78,7 +79,6 @@ def solve_contacts(
         if attempt == INTERIOR:
             if problems.friction == wp.float64(0.0):
                 continue
-            newton_buffers.systems.base.valid[w] = 0  # its factors are overwritten
             interior_point(problems, interior_buffers, i, level, tolerance[i])
             scale = SMALL_SCALE * mean
             for c in range(count):

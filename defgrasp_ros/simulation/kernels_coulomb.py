@@ -26,7 +26,7 @@ class ContactProblems:
 
     worlds: wp.array[int]  # (row,)
     count: wp.array[int]  # (world,) points
-    matrix: wp.array3d[mat33d]  # (world, contact, contact): W [m/N], symmetric, positive semi-definite
+    matrix: wp.array2d[mat33d]  # (world, place): upper half of W [m/N], positive semi-definite
     force: wp.array2d[vec3d]  # (row, contact): forces to begin with [N]
     motion: wp.array2d[vec3d]  # (row, contact): their motion w [m]
     friction: wp.float64  # mu [-]

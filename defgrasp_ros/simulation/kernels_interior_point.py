@@ -16,7 +16,12 @@ first guess for Newton's method of its own.
 
 import warp as wp
 
-from defgrasp_ros.simulation.kernels_block_matrix import factorise, multiply_symmetric, solve_factorised
+from defgrasp_ros.simulation.kernels_block_matrix import (
+    block_of_symmetric,
+    factorise,
+    multiply_symmetric,
+    solve_factorised,
+)
 from defgrasp_ros.simulation.kernels_coulomb import ContactProblems, largest_residual, tangential_length
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
@@ -166,7 +171,7 @@ def assemble_system(problems: ContactProblems, buffers: InteriorPointBuffers, ro
     weight = mat33d(one / problems.friction, zero, zero, zero, one, zero, zero, zero, one)
     for i in range(count):
         for j in range(count):
-            buffers.system[w, i, j] = weight * problems.matrix[w, i, j] * weight
+            buffers.system[w, i, j] = weight * block_of_symmetric(problems.matrix, w, i, j, count) * weight
         x = buffers.x[row, i]
         z = buffers.z[row, i]
         buffers.system[w, i, i] = buffers.system[w, i, i] + shift_jacobian(z) * scaling(x, z)
@@ -183,7 +188,7 @@ def find_step(problems: ContactProblems, buffers: InteriorPointBuffers, row: int
         aim = target * inverse_in_cone(buffers.x[row, c]) - z
         buffers.dz[row, c] = aim
         buffers.dx[row, c] = shift_jacobian(z) * aim - buffers.missing[row, c]
-    solve_factorised(buffers.system, w, count, buffers.dx, row, 0)
+    solve_factorised(buffers.system, w, count, buffers.dx, row)
     limit = LARGEST
     for c in range(count):
         x = buffers.x[row, c]

@@ -2,17 +2,26 @@
 
 With the slope S of ``alart_curnier`` at each contact, 0 where it is open and 1 where it sticks, a direction d obeys
 
-    (1 + S G) d = -Phi,      G = (W + s) / r - (1 - epsilon),
+    (1 - S) d + S K d = -Phi,      K = (W + s) / r + epsilon,
 
 with the scale r, a proximal shift s and a small regularisation epsilon. From one system to the next, also of the next
-problem of a world, few slopes change, and W seldom does. So a world keeps its base M = 1 + S_0 G, the system that was
-factorised last. For the contacts c whose slopes differ from S_0, by Woodbury's formula,
+problem of a world, few contacts begin to open, stick or slide, and W seldom changes. So a world keeps a base: K of
+contacts that stick, B, factorised as U^T D U, and of contacts that slid when it was made, T, with B eliminated: H.
+Where the contacts of B stick still, the system there is K d = -Phi, whatever else happens. A contact c of B that does
+not stick any more misses that by an unknown s_c, and one that is neither in B nor in T has the unknown s_c = d_c. Each
+of them needs a column,
 
-    d = y - sum_c X_c s_c,   y = -M^-1 Phi,   X_c = M^-1 e_c,   sum_c' (1_cc' + dS_c G_c X_c') s_c' = dS_c G_c y,
+    z_c = U^-T e_c  or  -U^-T K_Bc,      q_c = -K_TB K_BB^-1 e_c  or  -H_Tc,
 
-where G_c are rows of G. Each X_c is found when it is first needed, and kept as long as the base. Sliding contacts turn
-a little all the time: small changes are passed over. What the direction then misses of its system, for this or any
-other reason, decides whether it is taken, so factors that are too old cost time and nothing else.
+which is found when it is first needed, and kept as long as the base. With the products Q_cc' = z_c^T D^-1 z_c', less
+K_cc' for two outside, and f = -U^-T Phi_B, what is left is a small system for d_T and s:
+
+    (1 - S) d_t + S m_t = -Phi_t,          m_T = K_TB K_BB^-1 (-Phi_B) + H d_T - sum_c q_c s_c,
+    (1 - S) m_c + S s_c = -(1 - S) Phi_c   of contacts of B,
+    (1 - S) s_c - S m_c = -Phi_c           of others,      m_c = z_c^T D^-1 f + sum_c' Q_cc' s_c' + q_c^T d_T,
+
+and then U d_B = D^-1 (f + sum_c z_c s_c) - (U d_T). Slopes come in only here, so a contact that slides may turn freely.
+Of an open contact outside d = -Phi is known; K d of these stands on the right-hand sides.
 """
 
 from typing import Any
@@ -20,7 +29,16 @@ from typing import Any
 import warp as wp
 
 from defgrasp_ros.simulation.kernels_alart_curnier import alart_curnier_slope, phi
-from defgrasp_ros.simulation.kernels_block_matrix import factorise, multiply_symmetric, solve_factorised
+from defgrasp_ros.simulation.kernels_block_matrix import (
+    block_of_symmetric,
+    eliminate_symmetric,
+    factorise,
+    multiply_symmetric,
+    scale_by_pivots,
+    solve_factorised,
+    substitute_backwards,
+    substitute_forwards,
+)
 from defgrasp_ros.simulation.kernels_coulomb import ContactProblems
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
@@ -29,13 +47,9 @@ wp.set_module_options({"enable_backward": False})
 REGULARISATION = wp.constant(wp.float64(1e-6))
 """epsilon [-]: neighbouring points can depend on each other, this picks one of the equal solutions."""
 COLUMNS = wp.constant(32)
-"""Columns of the inverse that a world can keep."""
-COLUMN_COST = wp.constant(4)
-"""Of new factors, a column costs this part divided by the number of pressed contacts [-]; measured on a processor."""
-SLOPE_TOLERANCE = wp.constant(wp.float64(1e-2))
-"""Change of a contact's part of the system that is passed over [-]: of a slope, times own compliance over scale."""
-LARGEST_DEFECT = wp.constant(wp.float64(5e-2))
-"""What a direction from earlier factors may miss of its system, relative to Phi [-]."""
+"""Columns that a world can keep."""
+LARGEST_DEFECT = wp.constant(wp.float64(1e-6))
+"""What a direction from earlier factors may miss of its system, relative to Phi [-]: rounding, but no more."""
 
 
 @wp.struct
@@ -45,15 +59,17 @@ class Base:
     valid: wp.array[int]  # (world,): 0 if there is none for the present W
     scale: wp.array[wp.float64]  # (world,): r [m/N]
     shift: wp.array[wp.float64]  # (world,): s [m/N]
-    slope: wp.array2d[mat33d]  # (world, contact): S_0
-    pressed: wp.array2d[int]  # (world, place): contacts with S_0 other than 0
-    pressed_count: wp.array[int]  # (world,)
-    factors: wp.array3d[mat33d]  # (world, place, place): L and U of the pressed contacts
+    pressed: wp.array2d[int]  # (world, place): contacts of B, then those of T
+    place: wp.array2d[int]  # (world, contact): their places; -1: neither in B nor in T
+    sticking_count: wp.array[int]  # (world,): contacts of B
+    pressed_count: wp.array[int]  # (world,): those of B and T
+    factors: wp.array2d[mat33d]  # (world, place): upper half of U, inverses of D, and H
+    spent: wp.array[wp.float64]  # (world,): on differences from it, in products of 3 x 3 blocks
     column_count: wp.array[int]  # (world,)
-    place_of_column: wp.array2d[int]  # (world, contact): k of its column; -1: none so far
+    column_of: wp.array2d[int]  # (world, contact): k of its column; -1: none so far
     contact: wp.array2d[int]  # (world, k): c
-    column: wp.array2d[mat33d]  # (COLUMNS world + k, contact): X_c
-    product: wp.array3d[mat33d]  # (world, k, k'): G_c X_c'
+    column: wp.array2d[mat33d]  # (COLUMNS world + k, place): D^-1 z_c and q_c
+    product: wp.array3d[mat33d]  # (world, k, k'): Q
 
 
 @wp.struct
@@ -65,11 +81,12 @@ class NewtonSystems:
     value: wp.array2d[vec3d]  # (row, contact): Phi [N]
     direction: wp.array2d[vec3d]  # (row, contact): d [N]
     change: wp.array2d[vec3d]  # (row, contact): (W + s) d [m]
-    changed: wp.array2d[int]  # (row, i): contacts with another slope than in the base
-    pressed_part: wp.array2d[vec3d]  # (row, place)
-    pressed_column: wp.array2d[mat33d]  # (row, place)
-    matrix: wp.array3d[mat33d]  # (row, i, i'): 1 + dS G X
-    unknown: wp.array2d[vec3d]  # (row, i): s_c [N]
+    changed: wp.array2d[int]  # (row, i): contacts whose columns are needed
+    load: wp.array2d[vec3d]  # (row, contact): K d of contacts that open and are not in the base [N]
+    part: wp.array2d[vec3d]  # (row, place): of the contacts of the base
+    column_part: wp.array2d[mat33d]  # (row, place)
+    unknown: wp.array2d[vec3d]  # (row, i): d_T, then s [N]
+    matrix: wp.array3d[mat33d]  # (world, i, i'): of the small system
     solved: wp.array[int]  # (row,): systems so far
     factorised: wp.array[int]  # (row,): how many of them had to be factorised
 
@@ -89,12 +106,12 @@ def find_direction(
     changed_count = list_changed_contacts(problems, systems, row, scale, shift)
     systems.solved[row] = systems.solved[row] + 1
     if changed_count >= 0:
-        solve_changed(problems, systems, row, changed_count)
+        solve_system(problems, systems, row, changed_count)
         find_change(problems, systems, row, shift)
         if is_accurate(problems, systems, row, scale):
             return
     factorise_base(problems, systems, row, scale, shift)
-    solve_changed(problems, systems, row, 0)
+    solve_system(problems, systems, row, 0)
     find_change(problems, systems, row, shift)
 
 
@@ -149,150 +166,237 @@ def is_zero(x: Any) -> bool:
 
 
 @wp.func
+def is_sticking(slope: mat33d) -> bool:
+    """Whether a slope is that of a sticking contact."""
+    return slope == wp.identity(n=3, dtype=wp.float64)
+
+
+@wp.func
+def compliance(problems: ContactProblems, base: Base, w: int, a: int, b: int) -> mat33d:
+    """Return K_ab [-]."""
+    result = block_of_symmetric(problems.matrix, w, a, b, problems.count[w]) * (wp.float64(1.0) / base.scale[w])
+    if a == b:
+        result += (base.shift[w] / base.scale[w] + REGULARISATION) * wp.identity(n=3, dtype=wp.float64)
+    return result
+
+
+@wp.func
 def factorise_base(problems: ContactProblems, systems: NewtonSystems, row: int, scale: wp.float64, shift: wp.float64):
-    """Make the system of this row the base of its world."""
+    """Make a base that needs no columns for the system of this row."""
     base = systems.base
     w = problems.worlds[row]
-    closed = int(0)
-    for c in range(problems.count[w]):
-        slope = systems.slope[row, c]
-        base.slope[w, c] = slope
-        base.place_of_column[w, c] = -1
-        if not is_zero(slope):
-            base.pressed[w, closed] = c
-            closed += 1
-    for a in range(closed):
-        c = base.pressed[w, a]
-        slope = base.slope[w, c]
-        scaled = slope / scale
-        for b in range(closed):
-            base.factors[w, a, b] = scaled * problems.matrix[w, c, base.pressed[w, b]]
-        own = shift / scale - (wp.float64(1.0) - REGULARISATION)
-        base.factors[w, a, a] = base.factors[w, a, a] + wp.identity(n=3, dtype=wp.float64) + own * slope
-    factorise(base.factors, w, closed)
-    base.pressed_count[w] = closed
-    base.column_count[w] = 0
+    count = problems.count[w]
     base.scale[w] = scale
     base.shift[w] = shift
+    sticking = int(0)
+    for c in range(count):
+        base.place[w, c] = -1
+        base.column_of[w, c] = -1
+        if is_sticking(systems.slope[row, c]):
+            base.pressed[w, sticking] = c
+            sticking += 1
+    pressed = int(sticking)
+    for c in range(count):
+        slope = systems.slope[row, c]
+        if not is_zero(slope) and not is_sticking(slope):
+            base.pressed[w, pressed] = c
+            pressed += 1
+    place = int(0)
+    for a in range(pressed):
+        c = base.pressed[w, a]
+        base.place[w, c] = a
+        for b in range(a, pressed):
+            base.factors[w, place] = compliance(problems, base, w, c, base.pressed[w, b])
+            place += 1
+    eliminate_symmetric(base.factors, w, pressed, sticking)
+    base.sticking_count[w] = sticking
+    base.pressed_count[w] = pressed
+    base.column_count[w] = 0
+    base.spent[w] = wp.float64(0.0)
     base.valid[w] = 1
     systems.factorised[row] = systems.factorised[row] + 1
 
 
 @wp.func
-def solve_base(
-    problems: ContactProblems, base: Base, w: int, x: wp.array2d[Any], x_row: int, part: wp.array2d[Any], row: int
-):
-    """Replace x by M^-1 x; ``part`` is work space."""
-    count = problems.count[w]
-    closed = base.pressed_count[w]
-    for a in range(closed):
-        part[row, a] = x[x_row, base.pressed[w, a]] * wp.float64(0.0)
-    for c in range(count):
-        if is_zero(base.slope[w, c]) and not is_zero(x[x_row, c]):
-            for a in range(closed):
-                part[row, a] = part[row, a] + problems.matrix[w, base.pressed[w, a], c] * x[x_row, c]
-    first = int(closed)
-    for a in range(closed):
-        c = base.pressed[w, a]
-        right_side = x[x_row, c] - base.slope[w, c] * part[row, a] / base.scale[w]
-        part[row, a] = right_side
-        if first == closed and not is_zero(right_side):
-            first = a
-    solve_factorised(base.factors, w, closed, part, row, first)
-    for a in range(closed):
-        x[x_row, base.pressed[w, a]] = part[row, a]
-
-
-@wp.func
-def times_row(problems: ContactProblems, base: Base, w: int, c: int, x: wp.array2d[Any], row: int):
-    """Return G_c x."""
-    own = base.shift[w] - (wp.float64(1.0) - REGULARISATION) * base.scale[w]
-    total = own * x[row, c]
-    for j in range(problems.count[w]):
-        total += problems.matrix[w, c, j] * x[row, j]
-    return total / base.scale[w]
-
-
-@wp.func
 def add_column(problems: ContactProblems, systems: NewtonSystems, row: int, contact: int):
-    """Find X_c of a contact, and its products with those that there are."""
+    """Find the column of a contact, and its products with those that there are."""
     base = systems.base
     w = problems.worlds[row]
     k = base.column_count[w]
-    for c in range(problems.count[w]):
-        base.column[COLUMNS * w + k, c] = mat33d()
-    base.column[COLUMNS * w + k, contact] = wp.identity(n=3, dtype=wp.float64)
-    solve_base(problems, base, w, base.column, COLUMNS * w + k, systems.pressed_column, row)
+    column = COLUMNS * w + k
+    sticking = base.sticking_count[w]
+    pressed = base.pressed_count[w]
+    own = base.place[w, contact]
+    first = int(0)
+    if own >= 0:
+        first = own
+        for a in range(pressed):
+            systems.column_part[row, a] = mat33d()
+        systems.column_part[row, own] = wp.identity(n=3, dtype=wp.float64)
+    else:
+        for a in range(pressed):
+            systems.column_part[row, a] = -compliance(problems, base, w, base.pressed[w, a], contact)
+    substitute_forwards(base.factors, w, pressed, sticking, systems.column_part, row, first)
+    for a in range(pressed):
+        base.column[column, a] = systems.column_part[row, a]
+    scale_by_pivots(base.factors, w, pressed, sticking, base.column, column)
     base.contact[w, k] = contact
-    base.place_of_column[w, contact] = k
+    base.column_of[w, contact] = k
     base.column_count[w] = k + 1
-    for j in range(k):
-        base.product[w, k, j] = times_row(problems, base, w, contact, base.column, COLUMNS * w + j)
-        base.product[w, j, k] = times_row(problems, base, w, base.contact[w, j], base.column, COLUMNS * w + k)
-    base.product[w, k, k] = times_row(problems, base, w, contact, base.column, COLUMNS * w + k)
+    for j in range(k + 1):
+        product = mat33d()
+        for a in range(first, sticking):
+            product += wp.transpose(systems.column_part[row, a]) * base.column[COLUMNS * w + j, a]
+        other = base.contact[w, j]
+        if own < 0 and base.place[w, other] < 0:
+            product -= compliance(problems, base, w, contact, other)
+        base.product[w, k, j] = product
+        base.product[w, j, k] = wp.transpose(product)
 
 
 # --- systems that differ from it --------------------------------------------------------------------------------------
 
 
 @wp.func
+def cube(n: int) -> wp.float64:
+    """Return n^3."""
+    x = wp.float64(n)
+    return x * x * x
+
+
+@wp.func
 def list_changed_contacts(
     problems: ContactProblems, systems: NewtonSystems, row: int, scale: wp.float64, shift: wp.float64
 ) -> int:
-    """List the contacts whose slope is not that of the base; return how many, or -1 if new factors are cheaper."""
+    """List the contacts whose columns are needed; return how many, or -1 if new factors are cheaper."""
     base = systems.base
     w = problems.worlds[row]
     if base.valid[w] == 0 or base.scale[w] != scale or base.shift[w] != shift:
         return -1
     changed = int(0)
+    pressed = int(0)
+    sliding = int(0)
     columns = base.column_count[w]
     for c in range(problems.count[w]):
-        difference = systems.slope[row, c] - base.slope[w, c]
-        largest = wp.float64(0.0)
-        for i in range(3):
-            largest = wp.max(largest, wp.max(wp.abs(difference[i])))
-        if largest * (scale + wp.trace(problems.matrix[w, c, c])) > SLOPE_TOLERANCE * scale:
-            if base.place_of_column[w, c] < 0:
+        slope = systems.slope[row, c]
+        if not is_zero(slope):
+            pressed += 1
+            if not is_sticking(slope):
+                sliding += 1
+        place = base.place[w, c]
+        released = place >= 0 and place < base.sticking_count[w] and not is_sticking(slope)
+        if released or (place < 0 and not is_zero(slope)):
+            if base.column_of[w, c] < 0:
                 columns += 1
             if columns > COLUMNS:
                 return -1
             systems.changed[row, changed] = c
             changed += 1
-    if COLUMN_COST * (columns - base.column_count[w]) > base.pressed_count[w]:
+    small = base.pressed_count[w] - base.sticking_count[w] + changed
+    cost = base.spent[w] + (cube(small) - cube(sliding)) / wp.float64(3.0)
+    cost += wp.float64(columns - base.column_count[w]) * wp.float64(pressed * pressed) / wp.float64(2.0)
+    if cost > cube(pressed) / wp.float64(6.0):
         return -1
+    base.spent[w] = cost
     return changed
 
 
 @wp.func
-def solve_changed(problems: ContactProblems, systems: NewtonSystems, row: int, changed_count: int):
-    """Find the direction from the base, with the slopes of this row at the contacts that are listed as changed."""
+def solve_system(problems: ContactProblems, systems: NewtonSystems, row: int, changed_count: int):
+    """Find the direction from the base and the columns of the contacts that are listed as changed."""
+    base = systems.base
+    w = problems.worlds[row]
+    count = problems.count[w]
+    sticking = base.sticking_count[w]
+    pressed = base.pressed_count[w]
+    sliding = pressed - sticking
+    for i in range(changed_count):
+        if base.column_of[w, systems.changed[row, i]] < 0:
+            add_column(problems, systems, row, systems.changed[row, i])
+    find_load(problems, systems, row)
+    for a in range(pressed):
+        c = base.pressed[w, a]
+        systems.part[row, a] = -systems.load[row, c]
+        if a < sticking:
+            systems.part[row, a] = systems.part[row, a] - systems.value[row, c]
+    substitute_forwards(base.factors, w, pressed, sticking, systems.part, row, 0)
+    assemble_small_system(problems, systems, row, changed_count)
+    factorise(systems.matrix, w, sliding + changed_count)
+    solve_factorised(systems.matrix, w, sliding + changed_count, systems.unknown, row)
+    scale_by_pivots(base.factors, w, pressed, sticking, systems.part, row)
+    for i in range(changed_count):
+        column = COLUMNS * w + base.column_of[w, systems.changed[row, i]]
+        for a in range(sticking):
+            systems.part[row, a] = systems.part[row, a] + base.column[column, a] * systems.unknown[row, sliding + i]
+    for a in range(sliding):
+        systems.part[row, sticking + a] = systems.unknown[row, a]
+    substitute_backwards(base.factors, w, pressed, sticking, systems.part, row)
+    for a in range(pressed):
+        systems.direction[row, base.pressed[w, a]] = systems.part[row, a]
+    for i in range(changed_count):
+        c = systems.changed[row, i]
+        if base.place[w, c] < 0:
+            systems.direction[row, c] = systems.unknown[row, sliding + i]
+    for c in range(count):
+        if is_zero(systems.slope[row, c]):
+            systems.direction[row, c] = -systems.value[row, c]  # open contacts lose their force to the last digit
+
+
+@wp.func
+def find_load(problems: ContactProblems, systems: NewtonSystems, row: int):
+    """Find K d of the contacts whose d is known beforehand: open ones that are not in the base."""
     base = systems.base
     w = problems.worlds[row]
     count = problems.count[w]
     for c in range(count):
-        systems.direction[row, c] = -systems.value[row, c]
-    solve_base(problems, base, w, systems.direction, row, systems.pressed_part, row)
-    if changed_count == 0:
-        return
-    for i in range(changed_count):
-        if base.place_of_column[w, systems.changed[row, i]] < 0:
-            add_column(problems, systems, row, systems.changed[row, i])
+        systems.load[row, c] = vec3d()
+    for o in range(count):
+        value = systems.value[row, o]
+        if base.place[w, o] < 0 and is_zero(systems.slope[row, o]) and not is_zero(value):
+            for c in range(count):
+                systems.load[row, c] = systems.load[row, c] - compliance(problems, base, w, c, o) * value
+
+
+@wp.func
+def assemble_small_system(problems: ContactProblems, systems: NewtonSystems, row: int, changed_count: int):
+    """Fill matrix and right-hand side of the system for d_T and s."""
+    base = systems.base
+    w = problems.worlds[row]
+    sticking = base.sticking_count[w]
+    pressed = base.pressed_count[w]
+    sliding = pressed - sticking
+    one = wp.identity(n=3, dtype=wp.float64)
+    for a in range(sliding):
+        c = base.pressed[w, sticking + a]
+        slope = systems.slope[row, c]
+        for b in range(sliding):
+            rest = block_of_symmetric(base.factors, w, sticking + a, sticking + b, pressed)
+            systems.matrix[w, a, b] = slope * rest
+        systems.matrix[w, a, a] = systems.matrix[w, a, a] + one - slope
+        for i in range(changed_count):
+            column = COLUMNS * w + base.column_of[w, systems.changed[row, i]]
+            systems.matrix[w, a, sliding + i] = -slope * base.column[column, sticking + a]
+        systems.unknown[row, a] = slope * systems.part[row, sticking + a] - systems.value[row, c]
     for i in range(changed_count):
         c = systems.changed[row, i]
-        k = base.place_of_column[w, c]
-        difference = systems.slope[row, c] - base.slope[w, c]
-        systems.unknown[row, i] = difference * times_row(problems, base, w, c, systems.direction, row)
+        slope = systems.slope[row, c]
+        value = systems.value[row, c]
+        k = base.column_of[w, c]
+        column = COLUMNS * w + k
+        motion = vec3d()
+        for a in range(sticking):
+            motion += wp.transpose(base.column[column, a]) * systems.part[row, a]
+        if base.place[w, c] >= 0:
+            weight = one - slope
+            own = slope
+            systems.unknown[row, sliding + i] = -weight * (value + motion)
+        else:
+            weight = -slope
+            own = one - slope
+            systems.unknown[row, sliding + i] = slope * (motion - systems.load[row, c]) - value
+        for b in range(sliding):
+            systems.matrix[w, sliding + i, b] = weight * wp.transpose(base.column[column, sticking + b])
         for j in range(changed_count):
-            other = base.place_of_column[w, systems.changed[row, j]]
-            systems.matrix[row, i, j] = difference * base.product[w, k, other]
-        systems.matrix[row, i, i] = systems.matrix[row, i, i] + wp.identity(n=3, dtype=wp.float64)
-    factorise(systems.matrix, row, changed_count)
-    solve_factorised(systems.matrix, row, changed_count, systems.unknown, row, 0)
-    for i in range(changed_count):
-        k = COLUMNS * w + base.place_of_column[w, systems.changed[row, i]]
-        for c in range(count):
-            systems.direction[row, c] = systems.direction[row, c] - base.column[k, c] * systems.unknown[row, i]
-    for i in range(changed_count):
-        c = systems.changed[row, i]
-        if is_zero(systems.slope[row, c]):
-            systems.direction[row, c] = -systems.value[row, c]  # open contacts lose their force to the last digit
+            other = base.column_of[w, systems.changed[row, j]]
+            systems.matrix[w, sliding + i, sliding + j] = weight * base.product[w, k, other]
+        systems.matrix[w, sliding + i, sliding + i] = systems.matrix[w, sliding + i, sliding + i] + own

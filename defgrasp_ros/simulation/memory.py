@@ -28,8 +28,8 @@ def bytes_per_world(model: ObjectModel, capacity: int = EXPECTED_CAPACITY) -> in
     history = 2 * (int(DEPTH) + 1)
     nodal = nodes * ((11 + history) * VECTOR + 3 * MATRIX)
     elements = len(mesh.tetrahedra) * MATRIX + mesh.elements.size * VECTOR
-    matrices = 2 * capacity**2 + (int(COLUMNS) + 2) * capacity + 2 * int(COLUMNS) ** 2
-    contacts = capacity * (9 * (5 * VECTOR + MATRIX + 4 * SCALAR) + (21 + history) * VECTOR)
+    matrices = 2 * capacity**2 + (int(COLUMNS) + 3) * capacity + int(COLUMNS) ** 2
+    contacts = capacity * (9 * (5 * VECTOR + MATRIX + 4 * SCALAR) + (23 + history) * VECTOR)
     return nodal + elements + matrices * MATRIX + contacts
 
 
