@@ -13,5 +13,5 @@ def test_kernel_for_the_gpu_agrees_with_blas():
     matrix, left = (wp.array(a, dtype=wp.float64, device="cpu") for a in (square + square.T, rows))
     for product in (multiply_rows, multiply_rows_by_tiles):
         out = wp.zeros((37, 70), dtype=wp.float64, device="cpu")
-        product(left, matrix, out)
+        product(37, left, matrix, out)
         np.testing.assert_allclose(out.numpy(), rows @ (square + square.T), rtol=1e-12, atol=1e-10)

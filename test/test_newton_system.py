@@ -10,6 +10,7 @@ from defgrasp_ros.simulation import kernels_coulomb as coulomb
 from defgrasp_ros.simulation.contact_solver import ContactSolver
 from defgrasp_ros.simulation.kernels_contact_solver import ATTEMPTS
 from defgrasp_ros.simulation.kernels_newton_system import COLUMNS, LARGEST_DEFECT, NewtonSystems, find_direction
+from defgrasp_ros.simulation.rows import RowList
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
 STICKING, SLIDING, OPEN = np.array([1.0, 0.1, 0.2]), np.array([1.0, 0.8, -0.6]), np.array([-0.5, 0.3, 0.1])
@@ -159,7 +160,8 @@ def pressed_problem(contacts: int = 16) -> tuple[np.ndarray, np.ndarray]:
 
 def solve_on(solver: ContactSolver, problem: coulomb.ContactProblems) -> np.ndarray:
     """Forces of one problem, shape ``(contact, 3)``."""
-    solver.solve(problem, wp.array([TOLERANCE], dtype=wp.float64, device="cpu"))
+    rows = RowList(1, wp.get_device("cpu")).assign(problem.worlds.numpy())
+    solver.solve(rows, problem, wp.array([TOLERANCE], dtype=wp.float64, device="cpu"))
     return solver.force.numpy()[0].copy()
 
 

@@ -12,19 +12,19 @@ TILE_DEPTH = wp.constant(16)
 TILE_THREADS = 128
 
 
-def multiply_rows(rows: wp.array, matrix: wp.array, out: wp.array) -> None:
-    """out = rows @ matrix, with a symmetric matrix; shapes ``(row, n)``, ``(n, n)``, ``(row, n)``, fp64."""
-    if rows.device.is_cuda:
-        multiply_rows_by_tiles(rows, matrix, out)
+def multiply_rows(count: int, left: wp.array, matrix: wp.array, out: wp.array) -> None:
+    """out[:count] = left[:count] @ matrix, with a symmetric matrix; shapes ``(row, n)``, ``(n, n)``, ``(row, n)``."""
+    if left.device.is_cuda:
+        multiply_rows_by_tiles(count, left, matrix, out)
     else:
-        np.matmul(rows.numpy(), matrix.numpy(), out=out.numpy())
+        np.matmul(left.numpy()[:count], matrix.numpy(), out=out.numpy()[:count])
 
 
-def multiply_rows_by_tiles(rows: wp.array, matrix: wp.array, out: wp.array) -> None:
+def multiply_rows_by_tiles(count: int, left: wp.array, matrix: wp.array, out: wp.array) -> None:
     """The same as a Warp kernel; it runs on any device, and is fast on CUDA alone."""
-    blocks = (-(-rows.shape[0] // TILE), -(-matrix.shape[0] // TILE))
+    blocks = (-(-count // TILE), -(-matrix.shape[0] // TILE))
     wp.launch_tiled(
-        _tiled_product, dim=blocks, inputs=[rows, matrix], outputs=[out], block_dim=TILE_THREADS, device=rows.device
+        _tiled_product, dim=blocks, inputs=[left, matrix], outputs=[out], block_dim=TILE_THREADS, device=left.device
     )
 
 

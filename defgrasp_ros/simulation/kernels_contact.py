@@ -14,6 +14,7 @@ a . lambda, friction included.
 import warp as wp
 
 from defgrasp_ros.simulation.kernels_faces import Bodies, is_pad
+from defgrasp_ros.simulation.rows import Rows, world_of
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
 wp.set_module_options({"enable_backward": False})
@@ -49,18 +50,32 @@ def copy_contact(source: ContactList, source_row: int, k: int, target: ContactLi
     target.trend[target_row, c] = source.trend[source_row, k]
 
 
+@wp.func
+def copy_list(source: ContactList, target: ContactList, world: int):
+    """Copy the list of a world."""
+    target.count[world] = source.count[world]
+    for c in range(source.count[world]):
+        copy_contact(source, world, c, target, world, c)
+
+
 @wp.kernel
 def merge_contacts(
-    worlds: wp.array[int],  # (row,)
-    listed: ContactList,
+    rows: Rows,
+    missing: wp.array[int],  # (world,): whether there is anything to add
+    longest: wp.array[int],  # (1,): nothing is done where it does not fit
     found: ContactList,
+    # In and out:
+    listed: ContactList,
     # Out:
     merged: ContactList,
     compliance_is_stale: wp.array[int],  # (world,)
 ):
     """Add the points that were found to those that are listed, which stay as they are; all sorted by key."""
-    i = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, wp.tid())
+    if w < 0:
+        return
+    if missing[w] == 0 or longest[0] > listed.key.shape[1]:
+        return
     k = int(0)
     count = int(0)
     for c in range(found.count[w]):
@@ -76,24 +91,25 @@ def merge_contacts(
         k += 1
         count += 1
     merged.count[w] = count
+    copy_list(merged, listed, w)
     compliance_is_stale[w] = 1
 
 
 @wp.kernel
-def copy_contacts(worlds: wp.array[int], source: ContactList, target: ContactList):
-    """Copy the lists of some worlds."""
-    i = wp.tid()
-    w = worlds[i]
-    target.count[w] = source.count[w]
-    for c in range(source.count[w]):
-        copy_contact(source, w, c, target, w, c)
+def copy_contacts(rows: Rows, longest: wp.array[int], source: ContactList, target: ContactList):
+    """Copy the lists of some worlds, unless the longest (1,) does not fit."""
+    w = world_of(rows, wp.tid())
+    if w >= 0 and longest[0] <= target.key.shape[1]:
+        copy_list(source, target, w)
 
 
 @wp.kernel
-def find_trends(worlds: wp.array[int], step_length: wp.float64, former: ContactList, contacts: ContactList):
+def find_trends(rows: Rows, step_length: wp.float64, former: ContactList, contacts: ContactList):
     """Note how fast the forces changed since ``former``; those of new points have no trend. Both lists are sorted."""
     i = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     k = int(0)
     for c in range(contacts.count[w]):
         while k < former.count[w] and former.key[w, k] < contacts.key[w, c]:
@@ -104,10 +120,12 @@ def find_trends(worlds: wp.array[int], step_length: wp.float64, former: ContactL
 
 
 @wp.kernel
-def extrapolate_forces(worlds: wp.array[int], step_length: wp.float64, contacts: ContactList):
+def extrapolate_forces(rows: Rows, step_length: wp.float64, contacts: ContactList):
     """Let the forces follow their trends for a step; points that would pull carry nothing."""
     i, c = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     if c >= contacts.count[w]:
         return
     force = contacts.force[w, c] + step_length * contacts.trend[w, c]
@@ -129,26 +147,29 @@ def interpolate_rest(rest: wp.array[vec3d], nodes: wp.vec3i, weights: vec3d) -> 
 
 
 @wp.kernel
-def relative_motion(
+def contact_state(
+    rows: Rows,
     rest: wp.array[vec3d],  # (node,) [m]
     bodies: Bodies,
     contacts: ContactList,
-    worlds: wp.array[int],  # (row,)
     start_displacement: wp.array2d[vec3d],  # (world, node) [m]
     displacement: wp.array2d[vec3d],  # (world, node) [m]
-    correction: wp.array2d[vec3d],  # (row, node) [m], added to the displacement
+    correction: wp.array2d[vec3d],  # (world, node) [m], added to the displacement
     motion_out: wp.array2d[vec3d],  # (row, contact): gap, slip, slip [m]
+    force_out: wp.array2d[vec3d],  # (row, contact) [N]
 ):
-    """Gap and slip over the step of each contact point at displacement + correction."""
+    """Gap and slip over the step of each contact point at displacement + correction, and its force."""
     i, c = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     if c >= contacts.count[w]:
         return
     nodes = contacts.nodes[w, c]
     weights = contacts.weights[w, c]
     frame = contacts.frame[w, c]
     axis = contacts.axis[w, c]
-    u = interpolate(displacement, w, nodes, weights) + interpolate(correction, i, nodes, weights)
+    u = interpolate(displacement, w, nodes, weights) + interpolate(correction, w, nodes, weights)
     place = frame * (interpolate_rest(rest, nodes, weights) + u)
     slip = frame * (u - interpolate(start_displacement, w, nodes, weights))
     gap = place[0] - contacts.plane[w, c]
@@ -156,56 +177,53 @@ def relative_motion(
         gap += axis[0] * bodies.opening[w]
         slip += (bodies.opening[w] - bodies.start_opening[w]) * axis
     motion_out[i, c] = vec3d(gap, slip[1], slip[2])
+    force_out[i, c] = contacts.force[w, c]
 
 
 @wp.kernel
 def scatter_contact_forces(
+    rows: Rows,
     contacts: ContactList,
-    worlds: wp.array[int],  # (row,)
-    force: wp.array2d[vec3d],  # (row, contact): normal, tangential, tangential [N]
-    nodal_force: wp.array2d[vec3d],  # (row, node) [N], in and out
+    force: wp.array2d[vec3d],  # (world, contact): normal, tangential, tangential [N]
+    nodal_force: wp.array2d[vec3d],  # (world, node) [N], in and out
 ):
     """Add J^T lambda to the nodal forces."""
     i = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     for c in range(contacts.count[w]):
-        f = wp.transpose(contacts.frame[w, c]) * force[i, c]
+        f = wp.transpose(contacts.frame[w, c]) * force[w, c]
         nodes = contacts.nodes[w, c]
         weights = contacts.weights[w, c]
         for k in range(3):
             if weights[k] != wp.float64(0.0):
-                nodal_force[i, nodes[k]] = nodal_force[i, nodes[k]] + weights[k] * f
-
-
-@wp.kernel
-def gather_forces(worlds: wp.array[int], contacts: ContactList, force_out: wp.array2d[vec3d]):
-    """Copy the forces of the list into a work buffer (row, contact) [N]."""
-    i, c = wp.tid()
-    w = worlds[i]
-    if c < contacts.count[w]:
-        force_out[i, c] = contacts.force[w, c]
+                nodal_force[w, nodes[k]] = nodal_force[w, nodes[k]] + weights[k] * f
 
 
 @wp.kernel
 def take_forces(
-    worlds: wp.array[int],  # (row,)
+    rows: Rows,
     force: wp.array2d[vec3d],  # (row, contact) [N]
     # In and out:
     contacts: ContactList,
-    change: wp.array2d[vec3d],  # (row, contact): in the forces of the list, out what they change by [N]
+    # Out:
+    change_out: wp.array2d[vec3d],  # (world, contact): what they change by [N]
 ):
     """Put new forces into the list."""
     i, c = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     if c < contacts.count[w]:
+        change_out[w, c] = force[i, c] - contacts.force[w, c]
         contacts.force[w, c] = force[i, c]
-        change[i, c] = force[i, c] - change[i, c]
 
 
 @wp.kernel
 def move_fingers(
+    rows: Rows,
     contacts: ContactList,
-    worlds: wp.array[int],  # (row,)
     step_length: wp.float64,  # [s]
     finger_damping: wp.array[wp.float64],  # (world,) [N s/m]
     closing_force: wp.array[wp.float64],  # (world,) [N]
@@ -214,7 +232,9 @@ def move_fingers(
 ):
     """Opening at the end of the step: c (q - q_n) / h = force of both pads along the closing axis - F."""
     i = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     total = wp.float64(0.0)
     for c in range(contacts.count[w]):
         if is_pad(contacts.body[w, c]):
@@ -224,10 +244,10 @@ def move_fingers(
 
 @wp.kernel
 def assemble_contact_compliance(
+    rows: Rows,
     compliance: wp.array2d[wp.float64],  # (3 node, 3 node) [m/N]
     step_length: wp.float64,  # [s]
     contacts: ContactList,
-    worlds: wp.array[int],  # (row,)
     rotation: wp.array2d[mat33d],  # (world, node)
     finger_damping: wp.array[wp.float64],  # (world,) [N s/m]
     # Out:
@@ -235,7 +255,9 @@ def assemble_contact_compliance(
 ):
     """Gather W = J R P R^T J^T, and add what the fingers yield along the closing axis: h / c a a^T."""
     i, a, b = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     if a >= contacts.count[w] or b >= contacts.count[w] or b < a:
         return
     block = mat33d()

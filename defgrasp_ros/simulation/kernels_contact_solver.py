@@ -14,6 +14,7 @@ import warp as wp
 from defgrasp_ros.simulation.kernels_coulomb import ContactProblems
 from defgrasp_ros.simulation.kernels_interior_point import InteriorPointBuffers, interior_point
 from defgrasp_ros.simulation.kernels_newton import NewtonBuffers, newton
+from defgrasp_ros.simulation.rows import Rows, world_of
 from defgrasp_ros.simulation.types import vec3d
 
 wp.set_module_options({"enable_backward": False})
@@ -32,6 +33,7 @@ ATTEMPTS = wp.constant(RANDOM + 10)
 
 @wp.kernel
 def solve_contacts(
+    rows: Rows,
     problems: ContactProblems,
     tolerance: wp.array[wp.float64],  # (row,): largest accepted residual [N]
     newton_buffers: NewtonBuffers,
@@ -42,7 +44,9 @@ def solve_contacts(
 ):
     """Find the forces that obey the laws of contact. Whether they do tells the caller's own residual."""
     i = wp.tid()
-    w = problems.worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     count = problems.count[w]
     attempts_out[i] = 0
     newton_buffers.systems.solved[i] = 0

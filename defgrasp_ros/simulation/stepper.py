@@ -28,6 +28,7 @@ from defgrasp_ros.simulation.anderson import DEPTH, Anderson
 from defgrasp_ros.simulation.contact_set import ContactSet
 from defgrasp_ros.simulation.dense import multiply_rows
 from defgrasp_ros.simulation.device_model import DeviceModel
+from defgrasp_ros.simulation.rows import Launcher, RowList, Rows, world_of
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
 from defgrasp_ros.simulation.types import mat33d, vec3d
 from defgrasp_ros.simulation.world_state import WorldState, clear_rows, set_entries
@@ -106,20 +107,23 @@ class Stepper:
         self._state = state
         self._contacts = contacts
         self._device = device
+        self._launch = Launcher(device)
 
         def zeros(columns: int, dtype) -> wp.array:
             return wp.zeros((world_count, columns), dtype=dtype, device=device)
 
         self._element_rotation = zeros(model.tet_count, mat33d)
         self._element_force = zeros(model.entry_count, vec3d)
-        self._node_rotation = zeros(model.node_count, mat33d)
-        self._start_rotation = zeros(model.node_count, mat33d)
-        self._residual, self._correction, self._turned, self._product = (
-            zeros(model.node_count, vec3d) for _ in range(4)
+        self._node_rotation, self._start_rotation = (zeros(model.node_count, mat33d) for _ in range(2))
+        self._residual, self._correction, self._before = (zeros(model.node_count, vec3d) for _ in range(3))
+        self._turned, self._product = (zeros(3 * model.node_count, wp.float64) for _ in range(2))
+        self._turned_vectors, self._product_vectors = (
+            wp.array(ptr=a.ptr, dtype=vec3d, shape=(world_count, model.node_count), device=device)
+            for a in (self._turned, self._product)
         )
-        self._before = zeros(model.node_count, vec3d)
         self._anderson = Anderson(world_count, model.node_count, contacts.capacity, device)
-        self._norm = wp.zeros(world_count, dtype=wp.float64, device=device)
+        self._norm, self._inverted = (wp.zeros(world_count, dtype=wp.float64, device=device) for _ in range(2))
+        self._rows = RowList(world_count, device)
 
     def step(
         self, worlds: np.ndarray, shared: SharedCompliance, force_scale: np.ndarray, *, quasi_static: bool
@@ -132,42 +136,34 @@ class Stepper:
             force_scale: Force to which residuals are compared [N], shape ``(n,)``.
             quasi_static: Whether the velocity is forgotten after the step.
         """
-        state, contacts, h = self._state, self._contacts, shared.step_length
-        count = len(worlds)
-        report = StepReport.empty(count)
-        contacts.expect_step(worlds, h)
-        rows = self._rows(worlds)
-        contacts.remember(rows)
-        wp.copy(self._start_rotation, state.rotation)
-        self._predict(rows, state.start_velocity, h)
-        contacts.find(rows)
-        contacts.extrapolate(rows, h)
-        self._predict(rows, state.trend, h)
+        contacts, h = self._contacts, shared.step_length
+        report = StepReport.empty(len(worlds))
+        self._begin(self._rows.assign(worlds), shared)
 
         self._forget(worlds)
+        count = len(worlds)
         active = np.arange(count)
         last_residual, best_residual = np.full(count, np.inf), np.full(count, np.inf)
         stalled, spent, searches, accelerated = (np.zeros(count, dtype=int) for _ in range(4))
         while len(active):
-            rows = self._rows(worlds[active])
-            residual = self._evaluate_residual(rows, shared) / force_scale[active]
+            residual = self._evaluate_residual(self._rows.assign(worlds[active]), shared) / force_scale[active]
             report.residual[active] = residual
             stalled[active] = np.where(residual < best_residual[active], 0, stalled[active] + 1)
             best_residual[active] = np.fmin(best_residual[active], residual)
             goes_on = np.isfinite(residual) & (stalled[active] <= MAX_STALLED) & (spent[active] < MAX_ITERATIONS)
             solved = residual < TOLERANCE
             if solved.any():
-                incomplete = self._overlooked_contacts(worlds, active, solved, searches)
+                incomplete = solved.copy()
+                incomplete[solved] = contacts.complete(self._rows.assign(worlds[active[solved]]), shared)
                 report.converged[active[solved & ~incomplete]] = True
                 again = active[incomplete]
+                self._forget(worlds[again])
+                searches[again] += 1
                 spent[again], stalled[again], best_residual[again] = 0, 0, np.inf
                 goes_on = np.where(solved, incomplete & (searches[active] <= MAX_SEARCHES), goes_on)
             active = active[goes_on]
             if not len(active):
                 break
-            if solved.any() or not goes_on.all():
-                rows = self._rows(worlds[active])
-                self._evaluate_residual(rows, shared)
             grows = report.residual[active] > RESTART_GROWTH * last_residual[active]
             restarts = active[grows & (accelerated[active] >= int(DEPTH))]
             self._forget(worlds[restarts])
@@ -177,7 +173,8 @@ class Stepper:
             report.iterations[active] += 1
             spent[active] += 1
             reduction = np.maximum(CONTACT_TOLERANCE, CONTACT_REDUCTION * report.residual[active])
-            report.contact_fallbacks[active] += self._correct(rows, shared, force_scale[active] * reduction)
+            tolerance = force_scale[active] * reduction
+            report.contact_fallbacks[active] += self._correct(self._rows.assign(worlds[active]), shared, tolerance)
 
         self._accept(worlds[report.converged], h, quasi_static)
         report.crushed = self._are_crushed(worlds)
@@ -185,23 +182,22 @@ class Stepper:
         self._go_back(worlds[~report.converged])
         return report
 
-    def _predict(self, rows: wp.array, velocity: wp.array, h: float) -> None:
-        """Put the nodes where a velocity takes them, and the fingers where the contact forces do."""
-        inputs = [rows, h, self._state.start_displacement, velocity, self._state.displacement]
-        self._launch(elastic.predict, (rows.shape[0], self._model.node_count), inputs)
-        self._move_fingers(rows, h)
+    def _begin(self, rows: RowList, shared: SharedCompliance) -> None:
+        """Remember where the step begins; guess where it ends."""
+        state, contacts, h = self._state, self._contacts, shared.step_length
+        contacts.expect_step(rows.worlds, h)
+        contacts.remember(rows)
+        self._launch(_copy_rotations, (rows, self._model.node_count), [state.rotation, self._start_rotation])
+        self._predict(rows, state.start_velocity, h)
+        contacts.find(rows, shared)
+        contacts.extrapolate(rows, h)
+        self._predict(rows, state.trend, h)
 
-    def _overlooked_contacts(
-        self, worlds: np.ndarray, active: np.ndarray, solved: np.ndarray, searches: np.ndarray
-    ) -> np.ndarray:
-        """List the points that a solved world has inside a body without knowing; return where there are any."""
-        candidates = np.flatnonzero(solved)
-        incomplete = self._contacts.complete(self._rows(worlds[active[candidates]]))
-        again = np.zeros(len(active), dtype=bool)
-        again[candidates[incomplete]] = True
-        searches[active[again]] += 1
-        self._forget(worlds[active[again]])
-        return again
+    def _predict(self, rows: RowList, velocity: wp.array, h: float) -> None:
+        """Put the nodes where a velocity takes them, and the fingers where the contact forces do."""
+        inputs = [h, self._state.start_displacement, velocity, self._state.displacement]
+        self._launch(elastic.predict, (rows, self._model.node_count), inputs)
+        self._move_fingers(rows, h)
 
     def _forget(self, worlds: np.ndarray) -> None:
         """Start the acceleration of some worlds anew."""
@@ -210,131 +206,116 @@ class Stepper:
             self._anderson = Anderson(world_count, self._model.node_count, self._contacts.capacity, self._device)
         set_entries(self._anderson.length, worlds, 0)
 
-    def _evaluate_residual(self, rows: wp.array, shared: SharedCompliance) -> np.ndarray:
+    def _evaluate_residual(self, rows: RowList, shared: SharedCompliance) -> np.ndarray:
         """Leave the nodal residual in its buffer; return the worse of nodal and contact residual [N]."""
-        model, state, count = self._model, self._state, rows.shape[0]
+        model, state, nodes = self._model, self._state, (rows, self._model.node_count)
+        inputs = [model.elements, model.gradients, model.volumes, model.lame, state.displacement]
         self._launch(
-            model.kernels.forces,
-            (count, model.tet_count),
-            [model.elements, model.gradients, model.volumes, model.lame, rows, state.displacement],
-            [self._element_rotation, self._element_force],
+            model.kernels.forces, (rows, model.tet_count), [*inputs, self._element_rotation, self._element_force]
         )
-        nodes, acceleration = (count, model.node_count), self._product
-        self._launch(
-            elastic.missing_acceleration,
-            nodes,
-            [model.vertices, shared.step_length, rows, state.gravity, state.spin]
-            + [state.start_displacement, state.start_velocity, state.displacement],
-            [acceleration],
-        )
-        self._launch(
-            elastic.dynamic_residual,
-            nodes,
-            [model.incidence_start, model.incidence_entry, model.mass_start, model.mass_node, model.mass]
-            + [acceleration, self._element_force],
-            [self._residual],
-        )
+        inputs = [model.vertices, shared.step_length, state.gravity, state.spin]
+        motion = [state.start_displacement, state.start_velocity, state.displacement]
+        acceleration = self._correction  # of no use here
+        self._launch(elastic.missing_acceleration, nodes, [*inputs, *motion, acceleration])
+        inputs = [model.incidence_start, model.incidence_entry, model.mass_start, model.mass_node, model.mass]
+        self._launch(elastic.dynamic_residual, nodes, [*inputs, acceleration, self._element_force, self._residual])
         self._refresh_rotations(rows, shared)
-        self._contacts.refresh_compliance(rows, shared)
         self._contacts.add_forces(rows, self._residual)
-        self._launch(_row_norms, count, [self._residual], [self._norm])
-        return np.maximum(self._norm.numpy()[:count], self._contacts.residual(rows))
+        self._launch(_norms, (rows,), [self._residual, self._norm])
+        return np.maximum(self._norm.numpy()[rows.worlds], self._contacts.residual(rows))
 
-    def _refresh_rotations(self, rows: wp.array, shared: SharedCompliance) -> None:
+    def _refresh_rotations(self, rows: RowList, shared: SharedCompliance) -> None:
         """Follow the nodes' rotations where they have changed too much."""
-        model, state, count = self._model, self._state, rows.shape[0]
+        model, state = self._model, self._state
         inputs = [model.incidence_start, model.incidence_tet, model.volumes, self._element_rotation]
-        self._launch(elastic.nodal_rotations, (count, model.node_count), inputs, [self._node_rotation])
-        inputs = [rows, self._node_rotation, shared.rotation_tolerance]
-        self._launch(elastic.refresh_rotations, count, inputs, [state.rotation, self._contacts.stale])
+        self._launch(elastic.nodal_rotations, (rows, model.node_count), [*inputs, self._node_rotation])
+        inputs = [self._node_rotation, shared.rotation_tolerance, state.rotation, self._contacts.stale]
+        self._launch(elastic.refresh_rotations, (rows,), inputs)
 
-    def _correct(self, rows: wp.array, shared: SharedCompliance, contact_tolerance: np.ndarray) -> np.ndarray:
+    def _correct(self, rows: RowList, shared: SharedCompliance, contact_tolerance: np.ndarray) -> np.ndarray:
         """One correction of displacement, opening and forces; return which rows had a hard contact problem."""
-        nodes, displacement = (rows.shape[0], self._model.node_count), self._state.displacement
-        lists = self._contacts.lists
-        self._launch(_take_rows, nodes, [rows, displacement], [self._before])
+        nodes, displacement, contacts = (rows, self._model.node_count), self._state.displacement, self._contacts
+        self._launch(_copy_vectors, nodes, [displacement, self._before])
+        contacts.refresh_compliance(rows, shared)
         self._apply_compliance(rows, shared)
-        hard = self._contacts.solve(rows, self._correction, contact_tolerance)
-        self._launch(elastic.add_correction, nodes, [rows, self._correction, displacement])
-        self._residual.zero_()
-        self._contacts.add_force_change(rows, self._residual)
+        hard = contacts.solve(rows, self._correction, contact_tolerance)
+        self._launch(elastic.add_correction, nodes, [self._correction, displacement, self._residual])
+        contacts.add_force_change(rows, self._residual)
         self._apply_compliance(rows, shared)
-        self._launch(elastic.add_correction, nodes, [rows, self._correction, displacement])
-        self._anderson.mix(rows, self._before, displacement, lists.count, lists.force)
+        self._launch(elastic.add_correction, nodes, [self._correction, displacement, self._residual])
+        self._anderson.mix(rows, self._before, displacement, contacts.lists.count, contacts.lists.force)
         self._move_fingers(rows, shared.step_length)
         return hard
 
-    def _apply_compliance(self, rows: wp.array, shared: SharedCompliance) -> None:
+    def _apply_compliance(self, rows: RowList, shared: SharedCompliance) -> None:
         """correction = R P R^T residual."""
-        nodes, rotation = (rows.shape[0], self._model.node_count), self._state.rotation
-        self._launch(elastic.rotate_back, nodes, [rows, rotation, self._residual], [self._turned])
-        turned, product = (
-            wp.array(ptr=a.ptr, dtype=wp.float64, shape=(nodes[0], 3 * nodes[1]), device=self._device)
-            for a in (self._turned, self._product)
-        )
-        multiply_rows(turned, shared.matrix, product)
-        self._launch(elastic.rotate, nodes, [rows, rotation, self._product], [self._correction])
+        nodes, rotation = (rows, self._model.node_count), self._state.rotation
+        self._launch(elastic.rotate_back, nodes, [rotation, self._residual, self._turned_vectors])
+        multiply_rows(rows.count, self._turned, shared.matrix, self._product)
+        self._launch(elastic.rotate, nodes, [rotation, self._product_vectors, self._correction])
 
-    def _move_fingers(self, rows: wp.array, h: float) -> None:
+    def _move_fingers(self, rows: RowList, h: float) -> None:
         state = self._state
-        inputs = [self._contacts.lists, rows, h, state.finger_damping, state.closing_force, state.start_opening]
-        self._launch(contact.move_fingers, rows.shape[0], inputs, [state.bodies.opening])
+        inputs = [self._contacts.lists, h, state.finger_damping, state.closing_force, state.start_opening]
+        self._launch(contact.move_fingers, (rows,), [*inputs, state.bodies.opening])
 
     def _accept(self, worlds: np.ndarray, h: float, quasi_static: bool) -> None:
         """The end of the step becomes the start of the next."""
-        if not len(worlds):
-            return
-        state = self._state
-        rows = self._rows(worlds)
+        state, rows = self._state, self._rows.assign(worlds)
         self._contacts.find_trends(rows, h)
-        inputs = [rows, h, 0.0 if quasi_static else 1.0, state.displacement]
+        inputs = [h, 0.0 if quasi_static else 1.0, state.displacement]
         motion = [state.start_displacement, state.start_velocity, state.trend]
-        self._launch(elastic.accept_step, (len(worlds), self._model.node_count), [*inputs, *motion])
+        self._launch(elastic.accept_step, (rows, self._model.node_count), [*inputs, *motion])
         set_entries(state.start_opening, worlds, state.bodies.opening.numpy()[worlds])
 
     def _stand_still(self, worlds: np.ndarray) -> None:
         """Forget the trends of worlds that needed no iteration: nothing else would end a drift below the tolerance."""
-        rows = self._rows(worlds)
-        clear_rows(self._state.trend, rows)
+        rows = self._rows.assign(worlds)
+        self._launch(clear_rows, (rows, self._model.node_count), [self._state.trend])
         self._contacts.forget_trends(rows)
 
     def _are_crushed(self, worlds: np.ndarray) -> np.ndarray:
         """Return which worlds have more than a few elements turned inside out."""
-        model, volume = self._model, wp.empty(len(worlds), dtype=wp.float64, device=self._device)
-        inputs = [model.elements, model.gradients, model.volumes, self._rows(worlds), self._state.start_displacement]
-        self._launch(model.kernels.inversions, len(worlds), inputs, [volume])
-        return volume.numpy() > MAX_INVERTED_SHARE * model.volume
+        model, inverted = self._model, self._inverted
+        inputs = [model.elements, model.gradients, model.volumes, self._state.start_displacement, inverted]
+        self._launch(model.kernels.inversions, (self._rows.assign(worlds),), inputs)
+        return inverted.numpy()[worlds] > MAX_INVERTED_SHARE * model.volume
 
     def _go_back(self, worlds: np.ndarray) -> None:
         """Leave no trace of a step that failed."""
-        if not len(worlds):
-            return
-        state = self._state
-        rows = self._rows(worlds)
+        state, rows = self._state, self._rows.assign(worlds)
+        nodes = (rows, self._model.node_count)
         self._contacts.go_back(rows)
-        clear_rows(state.trend, rows)
-        set_entries(state.rotation, worlds, self._start_rotation.numpy()[worlds])
+        self._launch(clear_rows, nodes, [state.trend])
+        self._launch(_copy_rotations, nodes, [self._start_rotation, state.rotation])
         set_entries(state.bodies.opening, worlds, state.start_opening.numpy()[worlds])
 
-    def _rows(self, worlds: np.ndarray) -> wp.array:
-        return wp.array(worlds, dtype=int, device=self._device)
-
-    def _launch(self, kernel, dim, inputs: list, outputs: list | None = None) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self._device)
-
 
 @wp.kernel
-def _take_rows(worlds: wp.array[int], field: wp.array2d[vec3d], rows_out: wp.array2d[vec3d]):
-    """Copy a nodal field of some worlds (world, node) into a work buffer (row, node)."""
+def _copy_vectors(rows: Rows, source: wp.array2d[vec3d], target: wp.array2d[vec3d]):
+    """Copy a nodal field of some worlds."""
     i, n = wp.tid()
-    rows_out[i, n] = field[worlds[i], n]
+    w = world_of(rows, i)
+    if w >= 0:
+        target[w, n] = source[w, n]
 
 
 @wp.kernel
-def _row_norms(vector: wp.array2d[vec3d], norm_out: wp.array[wp.float64]):
-    """Euclidean norm of each row."""
-    i = wp.tid()
+def _copy_rotations(rows: Rows, source: wp.array2d[mat33d], target: wp.array2d[mat33d]):
+    """The same with rotations."""
+    i, n = wp.tid()
+    w = world_of(rows, i)
+    if w >= 0:
+        target[w, n] = source[w, n]
+
+
+@wp.kernel
+def _norms(rows: Rows, vector: wp.array2d[vec3d], norm_out: wp.array[wp.float64]):
+    """Euclidean norm of the field of each world."""
+    w = world_of(rows, wp.tid())
+    if w < 0:
+        return
     total = wp.float64(0.0)
     for n in range(vector.shape[1]):
-        total += wp.dot(vector[i, n], vector[i, n])
-    norm_out[i] = wp.sqrt(total)
+        total += wp.dot(vector[w, n], vector[w, n])
+    norm_out[w] = wp.sqrt(total)

@@ -8,6 +8,7 @@ import warp as wp
 from defgrasp_ros.object_model import STANDARD_GRAVITY
 from defgrasp_ros.simulation.kernels_elasticity import Spin
 from defgrasp_ros.simulation.kernels_faces import BODY_COUNT, PLATFORM, Bodies
+from defgrasp_ros.simulation.rows import Rows, world_of
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
 wp.set_module_options({"enable_backward": False})
@@ -92,12 +93,10 @@ def set_entries(array: wp.array, index, values) -> None:
         array.assign(host)
 
 
-def clear_rows(array: wp.array, rows: wp.array) -> None:
-    """Set some rows of an array (row, n) of vectors on the device to zero."""
-    wp.launch(_clear_rows, dim=(rows.shape[0], array.shape[1]), inputs=[rows, array], device=array.device)
-
-
 @wp.kernel
-def _clear_rows(rows: wp.array[int], array: wp.array2d[vec3d]):
+def clear_rows(rows: Rows, array: wp.array2d[vec3d]):
+    """Set the vectors (world, n) of some worlds to zero."""
     i, n = wp.tid()
-    array[rows[i], n] = vec3d()
+    w = world_of(rows, i)
+    if w >= 0:
+        array[w, n] = vec3d()
