@@ -22,6 +22,7 @@ from defgrasp_ros.simulation.contact_solver import ContactSolver
 from defgrasp_ros.simulation.dense import multiply_rows
 from defgrasp_ros.simulation.kernels_coulomb import ContactProblems
 from defgrasp_ros.simulation.kernels_element import element_kernels
+from defgrasp_ros.simulation.kernels_progress import judge
 from defgrasp_ros.simulation.reference_element import REFERENCE_ELEMENTS
 from defgrasp_ros.simulation.rows import Launcher, RowList
 from defgrasp_ros.simulation.stepper import Stepper
@@ -47,15 +48,17 @@ METHODS = [
     (ContactSet, "refresh_compliance", "compliance assembly"),
     (ContactSet, "solve", "contact solve"),
     (ContactSet, "add_forces", "contact residual"),
-    (ContactSet, "residual", "contact residual"),
+    (ContactSet, "find_residual", "contact residual"),
+    (ContactSet, "take_forces", "contact residual"),
 ]
 """Owner, attribute and name of each stage; a stage called by another is its child."""
 KERNELS = {
     elastic.missing_acceleration: "nodal residual",
     elastic.dynamic_residual: "nodal residual",
-    stepper._norms: "nodal residual",
+    judge: "nodal residual",
     elastic.rotate_back: "turning",
     elastic.rotate: "turning",
+    elastic.rotate_and_add: "turning",
     **{element_kernels(order).forces: "element pass" for order in REFERENCE_ELEMENTS},
 }
 """Stages that are single kernels."""
@@ -132,16 +135,23 @@ def recorded_stages(clock: Callable[[], float]) -> Iterator[StageTimes]:
             patches.enter_context(patch.object(owner, attribute, _timed(times, getattr(owner, attribute), name)))
         patches.enter_context(patch.object(Launcher, "__call__", _timed_launch(times)))
         patches.enter_context(patch.object(ContactSolver, "solve", _counted_problems(times)))
+        # The parts of a graph could not be timed.
+        patches.enter_context(patch.object(stepper, "can_be_captured", lambda device: False))
         yield times
+
+
+def row_count(rows: RowList) -> int:
+    """Return how many rows there are, asking the device."""
+    return int(rows.device.count.numpy()[0])
 
 
 def _timed(times: StageTimes, function: Callable, name: str) -> Callable:
     @wraps(function)
     def call(*arguments, **options):
         if function is multiply_rows:
-            times.products[arguments[0]] += 1
+            times.products[row_count(arguments[0])] += 1
         if name in ("residual", "Anderson", "shared inverse"):
-            times.rows[name] += arguments[1].count
+            times.rows[name] += row_count(arguments[1])
         with times.stage(name):
             return function(*arguments, **options)
 
@@ -163,8 +173,9 @@ def _counted_problems(times: StageTimes) -> Callable:
 
     def call(self: ContactSolver, rows: RowList, problems: ContactProblems, *arguments):
         solve(self, rows, problems, *arguments)
-        counts, systems = problems.count.numpy()[rows.worlds], self.systems.numpy()[: rows.count]
-        pressed = (self.force.numpy()[: rows.count, :, 0] > 0.0) & (np.arange(self.force.shape[1]) < counts[:, None])
+        number = row_count(rows)
+        counts, systems = problems.count.numpy()[problems.worlds.numpy()[:number]], self.systems.numpy()[:number]
+        pressed = (self.force.numpy()[:number, :, 0] > 0.0) & (np.arange(self.force.shape[1]) < counts[:, None])
         times.problems.update(counts.tolist())
         for unknowns, number in zip(3 * pressed.sum(axis=1), systems, strict=True):
             times.systems[int(unknowns)] += int(number)
@@ -202,9 +213,10 @@ def bare_products(times: StageTimes, size: int, device: wp.Device) -> float:
     clock = thread_clock(device)
 
     def bare(count: int) -> float:
-        rows, out = (wp.zeros((count, size), dtype=wp.float64, device=device) for _ in range(2))
-        rows.fill_(1.0)
-        return _best(lambda: multiply_rows(count, rows, matrix, out), clock)
+        rows = RowList(count, device).assign(np.arange(count))
+        left, out = (wp.zeros((count, size), dtype=wp.float64, device=device) for _ in range(2))
+        left.fill_(1.0)
+        return _best(lambda: multiply_rows(rows, left, matrix, out), clock)
 
     return _total(times.products, bare)
 

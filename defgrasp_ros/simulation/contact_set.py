@@ -13,10 +13,10 @@ from defgrasp_ros.simulation import kernels_selection as selection
 from defgrasp_ros.simulation.contact_forces import ContactForces
 from defgrasp_ros.simulation.contact_solver import ContactSolver
 from defgrasp_ros.simulation.device_model import DeviceModel
-from defgrasp_ros.simulation.rows import Launcher, RowList
+from defgrasp_ros.simulation.rows import Launcher, RowList, select
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
 from defgrasp_ros.simulation.types import mat33d, vec3d
-from defgrasp_ros.simulation.world_state import WorldState, clear_rows, set_entries
+from defgrasp_ros.simulation.world_state import WorldState, set_entries
 
 wp.set_module_options({"enable_backward": False})
 
@@ -59,15 +59,15 @@ class ContactSet:
         chunk_count = -(-feature_count // detection.CHUNK)
         self._near = wp.zeros((world_count, faces.BODY_COUNT, chunk_count), dtype=wp.uint64, device=device)
         self._no_correction = wp.zeros((world_count, model.node_count), dtype=vec3d, device=device)
-        self._missing, self._longest = (wp.zeros(size, dtype=int, device=device) for size in (world_count, 1))
-        self._residual, self._tolerance, self._rho = (
-            wp.zeros(world_count, dtype=wp.float64, device=device) for _ in range(3)
-        )
+        self.missing, self.longest = (wp.zeros(size, dtype=int, device=device) for size in (world_count, 1))
+        """Points that ``complete`` has added, per world, and the room that the longest list has ever needed."""
+        self.residual = wp.zeros(world_count, dtype=wp.float64, device=device)
+        """How far the worst contact of each world is from its law [N], of ``find_residual``."""
+        self._rho, self._assembled_step = (wp.zeros(world_count, dtype=wp.float64, device=device) for _ in range(2))
         self._stale_rows = RowList(world_count, device)
         self._every_row = RowList(world_count, device).assign(np.arange(world_count))
         self.stale = wp.ones(world_count, dtype=int, device=device)
         """Worlds whose compliance must be assembled anew."""
-        self._assembled_step = np.zeros(world_count)
         self._allocate(INITIAL_CAPACITY)
 
     def _allocate(self, capacity: int) -> None:
@@ -81,9 +81,7 @@ class ContactSet:
         self._proposed_gap = wp.zeros((faces.BODY_COUNT * worlds, capacity), dtype=wp.float64, device=device)
         self._owned = wp.zeros((faces.BODY_COUNT * worlds, capacity), dtype=int, device=device)
         self._gap = wp.zeros((worlds, capacity), dtype=wp.float64, device=device)
-        self._force, self._change, self._motion = (
-            wp.zeros((worlds, capacity), dtype=vec3d, device=device) for _ in range(3)
-        )
+        self._force, self._motion = (wp.zeros((worlds, capacity), dtype=vec3d, device=device) for _ in range(2))
         self._problems = coulomb.ContactProblems()
         self._problems.count, self._problems.rho = self.lists.count, self._rho
         self._problems.friction = self._model.friction
@@ -101,16 +99,13 @@ class ContactSet:
         for source, target in zip(kept, (self.lists, self._remembered), strict=True):
             self._copy(self._every_row, source, target)
 
-    def _has_grown(self) -> bool:
-        """Make room for the longest list that was asked for; return whether there was too little."""
-        needed = int(self._longest.numpy()[0])
-        if needed <= self.capacity:
-            return False
-        self._grow(needed)
-        return True
+    def begin_anew(self, rows: RowList, longest: int) -> None:
+        """Make room for the longest list, and go back to where the step of some worlds began."""
+        self._grow(longest)
+        self._copy(rows, self._remembered, self.lists)
 
     def _copy(self, rows: RowList, source: contact.ContactList, target: contact.ContactList) -> None:
-        self._launch(contact.copy_contacts, (rows,), [self._longest, source, target])
+        self._launch(contact.copy_contacts, (rows,), [self.longest, source, target])
 
     def _contact_list(self, rows: int, capacity: int) -> contact.ContactList:
         shape, result = (rows, capacity), contact.ContactList()
@@ -126,60 +121,49 @@ class ContactSet:
         result.trend = wp.zeros(shape, dtype=vec3d, device=self._device)
         return result
 
-    def remember(self, rows: RowList) -> None:
-        """Keep the lists of some worlds, to go back to them."""
-        self._copy(rows, self.lists, self._remembered)
+    def remember(self, rows: RowList, step_length: float) -> None:
+        """Keep the lists of some worlds, to go back to them, before a step of a length [s]."""
+        inputs = [step_length, self._assembled_step, self.lists, self._remembered, self.stale]
+        self._launch(contact.remember_contacts, (rows,), inputs)
 
     def go_back(self, rows: RowList) -> None:
         """Take the lists that were last remembered, without their trends: they may have led astray."""
-        self._copy(rows, self._remembered, self.lists)
-        self.forget_trends(rows)
-        set_entries(self.stale, rows.worlds, 1)
+        self._launch(contact.take_back_contacts, (rows,), [self._remembered, self.lists, self.stale])
 
     def extrapolate(self, rows: RowList, step_length: float) -> None:
         """Let the forces go on as in the step before: a first guess."""
         self._launch(contact.extrapolate_forces, (rows, self.capacity), [step_length, self.lists])
 
-    def find_trends(self, rows: RowList, step_length: float) -> None:
-        """Note what the step since ``remember`` changed."""
-        self._launch(contact.find_trends, (rows,), [step_length, self._remembered, self.lists])
-
-    def forget_trends(self, rows: RowList) -> None:
-        """Let the forces of some worlds stay as they are in the next first guess."""
-        self._launch(clear_rows, (rows, self.capacity), [self.lists.trend])
+    def find_trends(self, rows: RowList, step_length: float, iterations: wp.array) -> None:
+        """Note what the step since ``remember``, of so many iterations (world,), changed."""
+        self._launch(contact.find_trends, (rows,), [step_length, iterations, self._remembered, self.lists])
 
     # --- finding points -----------------------------------------------------------------------------------------
+    # Where there is too little room for them, nothing is listed, and ``longest`` tells.
 
     def find(self, rows: RowList, shared: SharedCompliance) -> None:
         """List the candidates at the present displacement; a point found again keeps its force."""
-        while True:
-            self._search(rows, self._candidates)
-            self._launch(selection.carry_forces, (rows,), [self._candidates, self.lists, self._found, self.stale])
-            self._copy(rows, self._found, self.lists)
-            if not self._has_grown():
-                break
+        self._search(rows, self._candidates)
+        self._launch(selection.carry_forces, (rows,), [self._candidates, self.lists, self._found, self.stale])
+        self._copy(rows, self._found, self.lists)
         self._estimate_rho(rows, shared)
 
-    def complete(self, rows: RowList, shared: SharedCompliance) -> np.ndarray:
-        """Add points that are deep inside a body and not listed; return in which rows there were any."""
-        while True:
-            self._search(rows, self._overlooked)
-            inputs = [self.lists, self._found, self._gap, self._missing, self._longest]
-            self._launch(selection.count_missing, (rows,), inputs)
-            inputs = [self._missing, self._longest, self._found, self.lists, self._merged, self.stale]
-            self._launch(contact.merge_contacts, (rows,), inputs)
-            if not self._has_grown():
-                break
+    def complete(self, rows: RowList, shared: SharedCompliance) -> None:
+        """Add points that are deep inside a body and not listed; ``missing`` tells how many there were."""
+        self._search(rows, self._overlooked)
+        inputs = [self.lists, self._found, self._gap, self.missing, self.longest]
+        self._launch(selection.count_missing, (rows,), inputs)
+        inputs = [self.missing, self.longest, self._found, self.lists, self._merged, self.stale]
+        self._launch(contact.merge_contacts, (rows,), inputs)
         self._estimate_rho(rows, shared)
-        return self._missing.numpy()[rows.worlds] > 0
 
     def _search(self, rows: RowList, scene: detection.Scene) -> None:
         """Fill the list of found points, as far as there is room."""
         bodies, proposed = (rows, faces.BODY_COUNT), [self._proposed, self._proposed_gap]
         self._screen(rows, scene)
-        self._launch(detection.propose_contacts, bodies, [scene, self._near, *proposed, self._longest])
+        self._launch(detection.propose_contacts, bodies, [scene, self._near, *proposed, self.longest])
         self._launch(selection.drop_dependent, bodies, [scene, *proposed, self._owned])
-        self._launch(selection.join_bodies, (rows,), [*proposed, self._found, self._gap, self._longest])
+        self._launch(selection.join_bodies, (rows,), [*proposed, self._found, self._gap, self.longest])
 
     def pad_gaps(self, rows: RowList, reach: float) -> np.ndarray:
         """Return how far each pad can close before it touches the surface in front of it [m], shape ``(row, 2)``.
@@ -223,24 +207,14 @@ class ContactSet:
 
     # --- compliance ---------------------------------------------------------------------------------------------
 
-    def expect_step(self, worlds: np.ndarray, step_length: float) -> None:
-        """The next compliance is for steps of this length [s]."""
-        set_entries(self.stale, worlds[self._assembled_step[worlds] != step_length], 1)
-
     def refresh_compliance(self, rows: RowList, shared: SharedCompliance) -> None:
         """Assemble W anew where the points, the rotations or the step length changed."""
-        stale = rows.worlds[self.stale.numpy()[rows.worlds] != 0]
-        if not len(stale):
-            return
-        inputs = [shared.matrix, shared.step_length, self.lists, self._state.rotation, self._state.finger_damping]
-        self._launch(
-            contact.assemble_contact_compliance,
-            (self._stale_rows.assign(stale), self.capacity, self.capacity),
-            [*inputs, self._problems.matrix],
-        )
+        stale, state = self._stale_rows, self._state
+        self._launch(select, (rows,), [self.stale, 1, self.longest, self.capacity, stale.device])
+        inputs = [shared.matrix, shared.step_length, self.lists, state.rotation, state.finger_damping]
+        outputs = [self._problems.matrix, self.stale, self._assembled_step]
+        self._launch(contact.assemble_contact_compliance, (stale, self.capacity, self.capacity), [*inputs, *outputs])
         self._solver.forget(stale)
-        set_entries(self.stale, stale, 0)
-        self._assembled_step[stale] = shared.step_length
 
     def _estimate_rho(self, rows: RowList, shared: SharedCompliance) -> None:
         inputs = [self.lists.count, self.lists.nodes, self.lists.weights, shared.elastic, self._rho]
@@ -250,33 +224,37 @@ class ContactSet:
 
     def add_forces(self, rows: RowList, nodal_force: wp.array) -> None:
         """Add the contact forces to nodal forces (world, node) [N]."""
-        self._launch(contact.scatter_contact_forces, (rows,), [self.lists, self.lists.force, nodal_force])
+        self._launch(contact.add_forces, (rows,), [self.lists, nodal_force])
 
-    def residual(self, rows: RowList) -> np.ndarray:
-        """Return how far each row's worst contact is from its law [N], shape ``(row,)``."""
+    def find_residual(self, rows: RowList) -> None:
+        """Find how far each world's worst contact is from its law."""
         self._look_at_contacts(rows, self._no_correction)
-        inputs = [self.lists.count, self._model.friction, self._rho, self._force, self._motion, self._residual]
+        inputs = [self.lists.count, self._model.friction, self._rho, self._force, self._motion, self.residual]
         self._launch(coulomb.contact_residual, (rows,), inputs)
-        return self._residual.numpy()[rows.worlds]
 
-    def solve(self, rows: RowList, correction: wp.array, tolerance: np.ndarray) -> np.ndarray:
-        """Find the forces that obey the contact laws at displacement + correction; return which rows were hard.
+    def solve(self, rows: RowList, correction: wp.array, tolerance: wp.array) -> None:
+        """Find the forces that obey the contact laws at displacement + correction.
 
         Args:
             rows: Worlds.
             correction: Nodal correction that would follow without a change of forces (world, node) [m].
-            tolerance: Largest residual [N], shape ``(row,)``.
+            tolerance: Largest residual (world,) [N].
         """
         self._look_at_contacts(rows, correction)
-        set_entries(self._tolerance, slice(rows.count), tolerance)
-        self._problems.worlds = rows.device.worlds
-        self._solver.solve(rows, self._problems, self._tolerance)
-        self._launch(contact.take_forces, (rows, self.capacity), [self._solver.force, self.lists, self._change])
-        return self._solver.attempts.numpy()[: rows.count] > 1
+        if self._problems.worlds is not rows.device.worlds:
+            self._problems.worlds = rows.device.worlds
+        self._solver.solve(rows, self._problems, tolerance)
 
-    def add_force_change(self, rows: RowList, nodal_force: wp.array) -> None:
-        """Add what the last ``solve`` changed in the contact forces to nodal forces (world, node) [N]."""
-        self._launch(contact.scatter_contact_forces, (rows,), [self.lists, self._change, nodal_force])
+    def take_forces(self, rows: RowList, nodal_force: wp.array, hard: wp.array) -> None:
+        """Take the forces of ``solve``.
+
+        Args:
+            rows: Worlds.
+            nodal_force: What they change is added to it (world, node) [N].
+            hard: Counts the problems that needed more than their first method (world,).
+        """
+        inputs = [self._solver.force, self._solver.attempts, self.lists, nodal_force, hard]
+        self._launch(contact.take_forces, (rows,), inputs)
 
     def _look_at_contacts(self, rows: RowList, correction: wp.array) -> None:
         """Take the contacts' motion at displacement + correction, and their forces, into the work buffers."""

@@ -104,10 +104,53 @@ def copy_contacts(rows: Rows, longest: wp.array[int], source: ContactList, targe
 
 
 @wp.kernel
-def find_trends(rows: Rows, step_length: wp.float64, former: ContactList, contacts: ContactList):
-    """Note how fast the forces changed since ``former``; those of new points have no trend. Both lists are sorted."""
-    i = wp.tid()
-    w = world_of(rows, i)
+def remember_contacts(
+    rows: Rows,
+    step_length: wp.float64,  # of the step that begins [s]
+    assembled_step: wp.array[wp.float64],  # (world,): for which the compliance was assembled [s]
+    contacts: ContactList,
+    # Out:
+    remembered: ContactList,
+    compliance_is_stale: wp.array[int],  # (world,)
+):
+    """Keep the lists of worlds that begin a step."""
+    w = world_of(rows, wp.tid())
+    if w < 0:
+        return
+    copy_list(contacts, remembered, w)
+    if assembled_step[w] != step_length:
+        compliance_is_stale[w] = 1
+
+
+@wp.kernel
+def take_back_contacts(
+    rows: Rows,
+    remembered: ContactList,
+    # Out:
+    contacts: ContactList,
+    compliance_is_stale: wp.array[int],  # (world,)
+):
+    """Take the lists that were remembered, without their trends: they may have led astray."""
+    w = world_of(rows, wp.tid())
+    if w < 0:
+        return
+    copy_list(remembered, contacts, w)
+    for c in range(contacts.count[w]):
+        contacts.trend[w, c] = vec3d()
+    compliance_is_stale[w] = 1
+
+
+@wp.kernel
+def find_trends(
+    rows: Rows,
+    step_length: wp.float64,
+    iterations: wp.array[int],  # (world,), of the step
+    former: ContactList,
+    contacts: ContactList,
+):
+    """Note how fast the forces changed since ``former``; both lists are sorted. Those of new points have no trend, nor
+    have those of worlds that needed no iteration: nothing else would end a drift below the tolerance."""
+    w = world_of(rows, wp.tid())
     if w < 0:
         return
     k = int(0)
@@ -115,7 +158,7 @@ def find_trends(rows: Rows, step_length: wp.float64, former: ContactList, contac
         while k < former.count[w] and former.key[w, k] < contacts.key[w, c]:
             k += 1
         contacts.trend[w, c] = vec3d()
-        if k < former.count[w] and former.key[w, k] == contacts.key[w, c]:
+        if iterations[w] > 0 and k < former.count[w] and former.key[w, k] == contacts.key[w, c]:
             contacts.trend[w, c] = (contacts.force[w, c] - former.force[w, k]) / step_length
 
 
@@ -180,44 +223,47 @@ def contact_state(
     force_out[i, c] = contacts.force[w, c]
 
 
+@wp.func
+def add_nodal_force(contacts: ContactList, world: int, c: int, force: vec3d, nodal_force: wp.array2d[vec3d]):
+    """Add J^T of one contact's force (normal, tangential, tangential) [N] to the nodal forces (world, node)."""
+    f = wp.transpose(contacts.frame[world, c]) * force
+    nodes = contacts.nodes[world, c]
+    weights = contacts.weights[world, c]
+    for k in range(3):
+        if weights[k] != wp.float64(0.0):
+            nodal_force[world, nodes[k]] = nodal_force[world, nodes[k]] + weights[k] * f
+
+
 @wp.kernel
-def scatter_contact_forces(
-    rows: Rows,
-    contacts: ContactList,
-    force: wp.array2d[vec3d],  # (world, contact): normal, tangential, tangential [N]
-    nodal_force: wp.array2d[vec3d],  # (world, node) [N], in and out
-):
-    """Add J^T lambda to the nodal forces."""
-    i = wp.tid()
-    w = world_of(rows, i)
+def add_forces(rows: Rows, contacts: ContactList, nodal_force: wp.array2d[vec3d]):
+    """Add J^T lambda to the nodal forces (world, node) [N]."""
+    w = world_of(rows, wp.tid())
     if w < 0:
         return
     for c in range(contacts.count[w]):
-        f = wp.transpose(contacts.frame[w, c]) * force[w, c]
-        nodes = contacts.nodes[w, c]
-        weights = contacts.weights[w, c]
-        for k in range(3):
-            if weights[k] != wp.float64(0.0):
-                nodal_force[w, nodes[k]] = nodal_force[w, nodes[k]] + weights[k] * f
+        add_nodal_force(contacts, w, c, contacts.force[w, c], nodal_force)
 
 
 @wp.kernel
 def take_forces(
     rows: Rows,
     force: wp.array2d[vec3d],  # (row, contact) [N]
+    attempts: wp.array[int],  # (row,): methods that it took to find them
     # In and out:
     contacts: ContactList,
-    # Out:
-    change_out: wp.array2d[vec3d],  # (world, contact): what they change by [N]
+    nodal_force: wp.array2d[vec3d],  # (world, node) [N]
+    hard: wp.array[int],  # (world,): how often it took more than one
 ):
-    """Put new forces into the list."""
-    i, c = wp.tid()
+    """Put new forces into the list, and add what they change, J^T (lambda' - lambda), to the nodal forces."""
+    i = wp.tid()
     w = world_of(rows, i)
     if w < 0:
         return
-    if c < contacts.count[w]:
-        change_out[w, c] = force[i, c] - contacts.force[w, c]
+    for c in range(contacts.count[w]):
+        add_nodal_force(contacts, w, c, force[i, c] - contacts.force[w, c], nodal_force)
         contacts.force[w, c] = force[i, c]
+    if attempts[i] > 1:
+        hard[w] = hard[w] + 1
 
 
 @wp.kernel
@@ -252,12 +298,17 @@ def assemble_contact_compliance(
     finger_damping: wp.array[wp.float64],  # (world,) [N s/m]
     # Out:
     matrix_out: wp.array3d[mat33d],  # (world, contact, contact) [m/N]
+    is_stale_out: wp.array[int],  # (world,)
+    assembled_step_out: wp.array[wp.float64],  # (world,) [s]
 ):
     """Gather W = J R P R^T J^T, and add what the fingers yield along the closing axis: h / c a a^T."""
     i, a, b = wp.tid()
     w = world_of(rows, i)
     if w < 0:
         return
+    if a == 0 and b == 0:
+        is_stale_out[w] = 0
+        assembled_step_out[w] = step_length
     if a >= contacts.count[w] or b >= contacts.count[w] or b < a:
         return
     block = mat33d()

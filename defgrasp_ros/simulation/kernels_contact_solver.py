@@ -35,7 +35,7 @@ ATTEMPTS = wp.constant(RANDOM + 10)
 def solve_contacts(
     rows: Rows,
     problems: ContactProblems,
-    tolerance: wp.array[wp.float64],  # (row,): largest accepted residual [N]
+    tolerance: wp.array[wp.float64],  # (world,): largest accepted residual [N]
     newton_buffers: NewtonBuffers,
     interior_buffers: InteriorPointBuffers,
     # Out:
@@ -83,7 +83,7 @@ def solve_contacts(
             if problems.friction == wp.float64(0.0):
                 continue
             newton_buffers.systems.base.valid[w] = 0  # its factors are overwritten
-            interior_point(problems, interior_buffers, i, level, tolerance[i])
+            interior_point(problems, interior_buffers, i, level, tolerance[w])
             scale = SMALL_SCALE * mean
             for c in range(count):
                 newton_buffers.force[i, c] = interior_buffers.best[i, c]
@@ -93,10 +93,10 @@ def solve_contacts(
             for c in range(count):
                 share = wp.float64(wp.randf(generator))
                 newton_buffers.force[i, c] = vec3d(wp.float64(2.0) * level * share, wp.float64(0.0), wp.float64(0.0))
-        residual = newton(problems, newton_buffers, i, scale, shift, rounds, tolerance[i])
+        residual = newton(problems, newton_buffers, i, scale, shift, rounds, tolerance[w])
         if residual < least:
             least = residual
             for c in range(count):
                 force_out[i, c] = newton_buffers.force[i, c]
-        if least <= tolerance[i]:
+        if least <= tolerance[w]:
             return

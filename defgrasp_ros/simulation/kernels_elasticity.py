@@ -177,15 +177,41 @@ def add_correction(
     rows: Rows,
     correction: wp.array2d[vec3d],  # (world, node) [m]
     displacement: wp.array2d[vec3d],  # (world, node) [m], in and out
-    residual: wp.array2d[vec3d],  # (world, node) [N], out
+    before_out: wp.array2d[vec3d],  # (world, node) [m]
+    residual_out: wp.array2d[vec3d],  # (world, node) [N]
 ):
-    """u += correction; what it stems from is done with."""
+    """u += correction, with u kept; the residual that this follows from is done with."""
     i, n = wp.tid()
     w = world_of(rows, i)
     if w < 0:
         return
+    before_out[w, n] = displacement[w, n]
     displacement[w, n] = displacement[w, n] + correction[w, n]
-    residual[w, n] = vec3d()
+    residual_out[w, n] = vec3d()
+
+
+@wp.kernel
+def rotate_and_add(
+    rows: Rows,
+    rotation: wp.array2d[mat33d],  # (world, node)
+    vector: wp.array2d[vec3d],  # (row, node) [m]
+    displacement: wp.array2d[vec3d],  # (world, node) [m], in and out
+):
+    """u += R v."""
+    i, n = wp.tid()
+    w = world_of(rows, i)
+    if w < 0:
+        return
+    displacement[w, n] = displacement[w, n] + rotation[w, n] * vector[i, n]
+
+
+@wp.kernel
+def copy_rotations(rows: Rows, source: wp.array2d[mat33d], target: wp.array2d[mat33d]):
+    """Copy the nodal rotations (world, node) of some worlds."""
+    i, n = wp.tid()
+    w = world_of(rows, i)
+    if w >= 0:
+        target[w, n] = source[w, n]
 
 
 @wp.kernel
@@ -209,17 +235,45 @@ def accept_step(
     rows: Rows,
     step_length: wp.float64,  # [s]
     velocity_factor: wp.float64,  # 1: dynamic, 0: quasi-static
+    iterations: wp.array[int],  # (world,), of the step
     displacement: wp.array2d[vec3d],  # (world, node) [m]
     start_displacement: wp.array2d[vec3d],  # (world, node) [m], in and out
     start_velocity: wp.array2d[vec3d],  # (world, node) [m/s], out
     trend: wp.array2d[vec3d],  # (world, node) [m/s], out
+    opening: wp.array[wp.float64],  # (world,) [m]
+    start_opening: wp.array[wp.float64],  # (world,) [m], out
 ):
-    """The end of this step becomes the start of the next."""
+    """The end of this step becomes the start of the next. One that needed no iteration has no trend: nothing else would
+    end a drift below the tolerance."""
     i, n = wp.tid()
     w = world_of(rows, i)
     if w < 0:
         return
     rate = (displacement[w, n] - start_displacement[w, n]) / step_length
     start_velocity[w, n] = velocity_factor * rate
-    trend[w, n] = rate
     start_displacement[w, n] = displacement[w, n]
+    trend[w, n] = rate
+    if iterations[w] == 0:
+        trend[w, n] = vec3d()
+    if n == 0:
+        start_opening[w] = opening[w]
+
+
+@wp.kernel
+def take_back_step(
+    rows: Rows,
+    start_rotation: wp.array2d[mat33d],  # (world, node)
+    start_opening: wp.array[wp.float64],  # (world,) [m]
+    rotation: wp.array2d[mat33d],  # (world, node), out
+    opening: wp.array[wp.float64],  # (world,) [m], out
+    trend: wp.array2d[vec3d],  # (world, node) [m/s], out
+):
+    """Leave no trace of a step that failed."""
+    i, n = wp.tid()
+    w = world_of(rows, i)
+    if w < 0:
+        return
+    rotation[w, n] = start_rotation[w, n]
+    trend[w, n] = vec3d()
+    if n == 0:
+        opening[w] = start_opening[w]

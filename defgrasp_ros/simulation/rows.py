@@ -26,25 +26,60 @@ def world_of(rows: Rows, i: int) -> int:
     return rows.worlds[i]
 
 
+@wp.kernel
+def select(
+    rows: Rows,
+    mark: wp.array[int],  # (world,)
+    wanted: int,
+    longest: wp.array[int],  # (1,): nothing is selected where this
+    room: int,  # is more than that
+    # Out:
+    selected: Rows,
+):
+    """List the worlds with the wanted mark, in the order of the rows."""
+    i = wp.tid()
+    w = world_of(rows, i)
+    if w < 0:
+        return
+    place = int(0)
+    if longest[0] <= room:
+        for k in range(i):
+            if mark[rows.worlds[k]] == wanted:
+                place += 1
+        if mark[w] == wanted:
+            selected.worlds[place] = w
+            place += 1
+    if i == rows.count[0] - 1:
+        selected.count[0] = place
+
+
+def stays_on_device(device: wp.Device) -> bool:
+    """Whether the host is to launch without knowing how many rows there are: where it would have to wait for that."""
+    return device.is_cuda
+
+
 class RowList:
     """A list of up to ``room`` worlds in memory that stays where it is, so that launches over it can be recorded."""
 
     def __init__(self, room: int, device: wp.Device):
         self._memory = wp.zeros(1 + room, dtype=int, device=device)
         self._host = self._memory.numpy()
+        """On the CPU the list itself, elsewhere what was last assigned."""
+        self._room = room
+        self.stays_on_device = stays_on_device(device)
         self.device = Rows()
         """The list as kernels take it."""
         self.device.count, self.device.worlds = self._memory[:1], self._memory[1:]
 
     @property
-    def worlds(self) -> np.ndarray:
-        """The worlds, shape ``(row,)``."""
-        return self._host[1 : 1 + self._host[0]]
+    def count(self) -> int:
+        """Number of rows, or what it can be at most where the host does not know."""
+        return self._room if self.stays_on_device else int(self._host[0])
 
     @property
-    def count(self) -> int:
-        """Number of rows."""
-        return int(self._host[0])
+    def worlds(self) -> np.ndarray:
+        """The worlds of a list that the host has assigned, shape ``(row,)``."""
+        return self._host[1 : 1 + self._host[0]]
 
     def assign(self, worlds: np.ndarray) -> RowList:
         """Put these worlds on the list, and return it."""

@@ -22,11 +22,12 @@ from defgrasp_ros.simulation import kernels_faces as faces
 from defgrasp_ros.simulation.contact_forces import ContactForces
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.kernels_element import element_kernels
+from defgrasp_ros.simulation.kernels_progress import TOLERANCE
 from defgrasp_ros.simulation.rest_system import RestSystem
 from defgrasp_ros.simulation.rows import RowList, Rows
 from defgrasp_ros.simulation.shard import Shard, WorldSnapshot
 from defgrasp_ros.simulation.shared_compliance import ComplianceCache
-from defgrasp_ros.simulation.stepper import TOLERANCE, StepReport
+from defgrasp_ros.simulation.stepper import StepReport
 from defgrasp_ros.simulation.types import mat33d, vec3d
 from defgrasp_ros.simulation.world_state import set_entries
 

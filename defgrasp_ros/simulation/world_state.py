@@ -8,7 +8,6 @@ import warp as wp
 from defgrasp_ros.object_model import STANDARD_GRAVITY
 from defgrasp_ros.simulation.kernels_elasticity import Spin
 from defgrasp_ros.simulation.kernels_faces import BODY_COUNT, PLATFORM, Bodies
-from defgrasp_ros.simulation.rows import Rows, world_of
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
 wp.set_module_options({"enable_backward": False})
@@ -91,12 +90,3 @@ def set_entries(array: wp.array, index, values) -> None:
     host[index] = values
     if array.device.is_cuda:
         array.assign(host)
-
-
-@wp.kernel
-def clear_rows(rows: Rows, array: wp.array2d[vec3d]):
-    """Set the vectors (world, n) of some worlds to zero."""
-    i, n = wp.tid()
-    w = world_of(rows, i)
-    if w >= 0:
-        array[w, n] = vec3d()
