@@ -13,7 +13,7 @@ from defgrasp_ros.simulation import kernels_selection as selection
 from defgrasp_ros.simulation.contact_forces import ContactForces
 from defgrasp_ros.simulation.contact_solver import ContactSolver
 from defgrasp_ros.simulation.device_model import DeviceModel
-from defgrasp_ros.simulation.rows import Launcher, RowList, select
+from defgrasp_ros.simulation.rows import Launcher, RowList
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
 from defgrasp_ros.simulation.types import mat33d, vec3d
 from defgrasp_ros.simulation.world_state import WorldState, set_entries
@@ -210,7 +210,7 @@ class ContactSet:
     def refresh_compliance(self, rows: RowList, shared: SharedCompliance) -> None:
         """Assemble W anew where the points, the rotations or the step length changed."""
         stale, state = self._stale_rows, self._state
-        self._launch(select, (rows,), [self.stale, 1, self.longest, self.capacity, stale.device])
+        stale.select(rows, self.stale, 1, self.longest, self.capacity)
         inputs = [shared.matrix, shared.step_length, self.lists, state.rotation, state.finger_damping]
         outputs = [self._problems.matrix, self.stale, self._assembled_step]
         self._launch(contact.assemble_contact_compliance, (stale, self.capacity, self.capacity), [*inputs, *outputs])

@@ -27,22 +27,22 @@ def world_of(rows: Rows, i: int) -> int:
 
 
 @wp.kernel
-def select(
+def _select(
     rows: Rows,
     mark: wp.array[int],  # (world,)
     wanted: int,
-    longest: wp.array[int],  # (1,): nothing is selected where this
-    room: int,  # is more than that
+    needed: wp.array[int],  # (1,)
+    room: int,
     # Out:
     selected: Rows,
 ):
-    """List the worlds with the wanted mark, in the order of the rows."""
+    """List the worlds with the wanted mark, in the order of the rows: each counts those before it."""
     i = wp.tid()
     w = world_of(rows, i)
     if w < 0:
         return
     place = int(0)
-    if longest[0] <= room:
+    if needed[0] <= room:
         for k in range(i):
             if mark[rows.worlds[k]] == wanted:
                 place += 1
@@ -67,6 +67,7 @@ class RowList:
         """On the CPU the list itself, elsewhere what was last assigned."""
         self._room = room
         self.stays_on_device = stays_on_device(device)
+        self._launch = Launcher(device)
         self.device = Rows()
         """The list as kernels take it."""
         self.device.count, self.device.worlds = self._memory[:1], self._memory[1:]
@@ -88,6 +89,18 @@ class RowList:
         if self._memory.device.is_cuda:
             self._memory.assign(self._host)
         return self
+
+    def select(self, rows: RowList, mark: wp.array, wanted: int, needed: wp.array, room: int) -> None:
+        """Put those of some worlds on the list that have the wanted mark, in their order.
+
+        Args:
+            rows: At least one world, on another list.
+            mark: Marks (world,).
+            wanted: That of the worlds to select.
+            needed: Space that something needs (1,); nothing is selected where it has not got it.
+            room: Space that it has.
+        """
+        self._launch(_select, (rows,), [mark, wanted, needed, room, self.device])
 
 
 class Launcher:

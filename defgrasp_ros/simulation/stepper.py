@@ -39,7 +39,7 @@ from defgrasp_ros.simulation.kernels_progress import (
     judge,
     new_progress,
 )
-from defgrasp_ros.simulation.rows import Launcher, RowList, select
+from defgrasp_ros.simulation.rows import Launcher, RowList
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
 from defgrasp_ros.simulation.types import mat33d, vec3d
 from defgrasp_ros.simulation.world_state import WorldState, set_entries
@@ -179,10 +179,7 @@ class Stepper:
 
     def _select(self, rows: RowList, state: int, selected: RowList) -> None:
         """List those of some worlds that are in a state; none where contacts have found no room."""
-        contacts = self._contacts
-        self._launch(
-            select, (rows,), [self._progress.state, state, contacts.longest, contacts.capacity, selected.device]
-        )
+        selected.select(rows, self._progress.state, state, self._contacts.longest, self._contacts.capacity)
 
     def _remember(self, shared: SharedCompliance) -> None:
         """Keep what a step changes before it is accepted."""
