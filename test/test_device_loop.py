@@ -1,6 +1,8 @@
 """The step as a graph, as CUDA runs it: captured and replayed on the CPU, since no test may need a GPU."""
 
+import importlib
 import os
+import pkgutil
 
 import numpy as np
 import pytest
@@ -12,8 +14,10 @@ from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.shapes import box
 from defgrasp_ros.object_model import ObjectModel
+from defgrasp_ros import simulation
 from defgrasp_ros.simulation import contact_set, rows, stepper
 from defgrasp_ros.simulation.dense import multiply_rows_by_tiles
+from defgrasp_ros.simulation.kernels_element import element_kernels
 from defgrasp_ros.simulation.simulator import Simulator
 from defgrasp_ros.simulation.stepper import StepReport
 
@@ -65,3 +69,16 @@ def test_a_graph_does_what_the_host_does(monkeypatch, counted_graphs):
     assert capacity_by_graph == capacity > 8
     assert list(reports[-1].converged) == [True, True, False] and list(reports[-1].cuts > 0) == [False, False, True]
     assert len({report.iterations.max() for report in reports}) > 1
+
+
+@pytest.mark.slow
+def test_all_kernels_compile_for_cuda(tmp_path):
+    """The compiler, which needs no GPU, makes code of compute capability 9.0 from every module."""
+    names = [f"{simulation.__name__}.{module.name}" for module in pkgutil.iter_modules(simulation.__path__)]
+    modules = [wp.get_module(importlib.import_module(name).__name__) for name in names]
+    for kernels in map(element_kernels, (1, 2)):
+        modules += [kernel.module for kernel in vars(kernels).values()]
+    with_kernels = [module for module in modules if module.kernels]
+    for module in with_kernels:
+        wp.compile_aot_module(module, arch=90, module_dir=tmp_path, use_ptx=True)
+    assert len(list(tmp_path.glob("*.ptx"))) == len(with_kernels) > 15
