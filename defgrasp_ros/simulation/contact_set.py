@@ -213,7 +213,7 @@ class ContactSet:
         stale.select(rows, self.stale, 1, self.longest, self.capacity)
         inputs = [shared.matrix, shared.step_length, self.lists, state.rotation, state.finger_damping]
         outputs = [self._problems.matrix, self.stale, self._assembled_step]
-        self._launch(contact.assemble_contact_compliance, (stale, self.capacity, self.capacity), [*inputs, *outputs])
+        self._launch(contact.assemble_contact_compliance, (stale, self.capacity), [*inputs, *outputs])
         self._solver.forget(stale)
 
     def _estimate_rho(self, rows: RowList, shared: SharedCompliance) -> None:

@@ -288,6 +288,37 @@ def move_fingers(
     opening_out[w] = start_opening[w] + step_length / finger_damping[w] * (total - closing_force[w])
 
 
+@wp.func
+def compliance_block(
+    compliance: wp.array2d[wp.float64],
+    contacts: ContactList,
+    rotation: wp.array2d[mat33d],
+    world: int,
+    a: int,
+    b: int,
+) -> mat33d:
+    """Gather the block of J R P R^T J^T that says how contact a moves under the force of contact b [m/N]."""
+    block = mat33d()
+    for k in range(3):
+        weight_a = contacts.weights[world, a][k]
+        if weight_a == wp.float64(0.0):
+            continue
+        node_a = contacts.nodes[world, a][k]
+        row = mat33d()
+        for m in range(3):
+            weight_b = contacts.weights[world, b][m]
+            if weight_b == wp.float64(0.0):
+                continue
+            node_b = contacts.nodes[world, b][m]
+            p = mat33d()
+            for x in range(3):
+                for y in range(3):
+                    p[x, y] = compliance[3 * node_a + x, 3 * node_b + y]
+            row += weight_b * (p * wp.transpose(rotation[world, node_b]))
+        block += weight_a * (rotation[world, node_a] * row)
+    return contacts.frame[world, a] * block * wp.transpose(contacts.frame[world, b])
+
+
 @wp.kernel
 def assemble_contact_compliance(
     rows: Rows,
@@ -302,35 +333,18 @@ def assemble_contact_compliance(
     assembled_step_out: wp.array[wp.float64],  # (world,) [s]
 ):
     """Gather W = J R P R^T J^T, and add what the fingers yield along the closing axis: h / c a a^T."""
-    i, a, b = wp.tid()
+    i, a = wp.tid()
     w = world_of(rows, i)
     if w < 0:
         return
-    if a == 0 and b == 0:
+    if a == 0:
         is_stale_out[w] = 0
         assembled_step_out[w] = step_length
-    if a >= contacts.count[w] or b >= contacts.count[w] or b < a:
+    if a >= contacts.count[w]:
         return
-    block = mat33d()
-    for k in range(3):
-        weight_a = contacts.weights[w, a][k]
-        if weight_a == wp.float64(0.0):
-            continue
-        node_a = contacts.nodes[w, a][k]
-        row = mat33d()
-        for m in range(3):
-            weight_b = contacts.weights[w, b][m]
-            if weight_b == wp.float64(0.0):
-                continue
-            node_b = contacts.nodes[w, b][m]
-            p = mat33d()
-            for x in range(3):
-                for y in range(3):
-                    p[x, y] = compliance[3 * node_a + x, 3 * node_b + y]
-            row += weight_b * (p * wp.transpose(rotation[w, node_b]))
-        block += weight_a * (rotation[w, node_a] * row)
-    block = contacts.frame[w, a] * block * wp.transpose(contacts.frame[w, b])
-    if is_pad(contacts.body[w, a]) and is_pad(contacts.body[w, b]):
-        block += step_length / finger_damping[w] * wp.outer(contacts.axis[w, a], contacts.axis[w, b])
-    matrix_out[w, a, b] = block
-    matrix_out[w, b, a] = wp.transpose(block)
+    for b in range(a, contacts.count[w]):
+        block = compliance_block(compliance, contacts, rotation, w, a, b)
+        if is_pad(contacts.body[w, a]) and is_pad(contacts.body[w, b]):
+            block += step_length / finger_damping[w] * wp.outer(contacts.axis[w, a], contacts.axis[w, b])
+        matrix_out[w, a, b] = block
+        matrix_out[w, b, a] = wp.transpose(block)
