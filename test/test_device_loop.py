@@ -10,11 +10,11 @@ import warp as wp
 from scipy.spatial.transform import Rotation
 from test_simulator import GRIPPER
 
+from defgrasp_ros import simulation
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.material import Material
 from defgrasp_ros.mesh.shapes import box
 from defgrasp_ros.object_model import ObjectModel
-from defgrasp_ros import simulation
 from defgrasp_ros.simulation import contact_set, rows, stepper
 from defgrasp_ros.simulation.dense import multiply_rows_by_tiles
 from defgrasp_ros.simulation.kernels_element import element_kernels

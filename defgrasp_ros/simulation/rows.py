@@ -34,7 +34,7 @@ def _select(
     needed: wp.array[int],  # (1,)
     room: int,
     # Out:
-    selected: Rows,
+    selected: Rows,  # with count 0
 ):
     """List the worlds with the wanted mark, in the order of the rows: each counts those before it."""
     i = wp.tid()
@@ -94,12 +94,13 @@ class RowList:
         """Put those of some worlds on the list that have the wanted mark, in their order.
 
         Args:
-            rows: At least one world, on another list.
+            rows: Worlds on another list.
             mark: Marks (world,).
             wanted: That of the worlds to select.
             needed: Space that something needs (1,); nothing is selected where it has not got it.
             room: Space that it has.
         """
+        self.device.count.zero_()
         self._launch(_select, (rows,), [mark, wanted, needed, room, self.device])
 
 
