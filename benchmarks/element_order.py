@@ -23,6 +23,7 @@ from defgrasp_ros.mesh.tetrahedralize import tetrahedralize
 from defgrasp_ros.object_model import ObjectModel
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.rest_system import RestSystem, rest_stiffness
+from defgrasp_ros.simulation.rows import RowList
 from defgrasp_ros.simulation.simulator import Simulator
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
@@ -61,10 +62,10 @@ def element_pass(model: ObjectModel, worlds: int = 16) -> float:
     displacement = wp.zeros((worlds, constants.node_count), dtype=vec3d, device=device)
     bend = 0.02 * model.mesh.vertices[:, [1, 2, 0]] * [1.0, -1.0, 0.5]
     displacement.assign(np.tile(bend, (worlds, 1, 1)))
-    rows = wp.array(np.arange(worlds), dtype=int, device=device)
+    rows = RowList(worlds, device).assign(np.arange(worlds)).device
     rotation = wp.zeros((worlds, constants.tet_count), dtype=mat33d, device=device)
     force = wp.zeros((worlds, constants.entry_count), dtype=vec3d, device=device)
-    inputs = [constants.elements, constants.gradients, constants.volumes, constants.lame, rows, displacement]
+    inputs = [rows, constants.elements, constants.gradients, constants.volumes, constants.lame, displacement]
     times = []
     for _ in range(10):
         start = time.process_time()

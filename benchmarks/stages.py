@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import wraps
 from unittest.mock import patch
@@ -21,6 +21,10 @@ from defgrasp_ros.simulation.contact_set import ContactSet
 from defgrasp_ros.simulation.contact_solver import ContactSolver
 from defgrasp_ros.simulation.dense import multiply_rows
 from defgrasp_ros.simulation.kernels_coulomb import ContactProblems
+from defgrasp_ros.simulation.kernels_element import element_kernels
+from defgrasp_ros.simulation.kernels_progress import judge
+from defgrasp_ros.simulation.reference_element import REFERENCE_ELEMENTS
+from defgrasp_ros.simulation.rows import Launcher, RowList
 from defgrasp_ros.simulation.stepper import Stepper
 
 ELEMENT_PASS = 0.2e-6
@@ -44,11 +48,20 @@ METHODS = [
     (ContactSet, "refresh_compliance", "compliance assembly"),
     (ContactSet, "solve", "contact solve"),
     (ContactSet, "add_forces", "contact residual"),
-    (ContactSet, "residual", "contact residual"),
+    (ContactSet, "find_residual", "contact residual"),
+    (ContactSet, "take_forces", "contact residual"),
 ]
 """Owner, attribute and name of each stage; a stage called by another is its child."""
-NODAL_KERNELS = {elastic.missing_acceleration.key, elastic.dynamic_residual.key, stepper._row_norms.key}
-TURNING_KERNELS = {elastic.rotate_back.key, elastic.rotate.key}
+KERNELS = {
+    elastic.missing_acceleration: "nodal residual",
+    elastic.dynamic_residual: "nodal residual",
+    judge: "nodal residual",
+    elastic.rotate_back: "turning",
+    elastic.rotate: "turning",
+    elastic.rotate_and_add: "turning",
+    **{element_kernels(order).forces: "element pass" for order in REFERENCE_ELEMENTS},
+}
+"""Stages that are single kernels."""
 
 
 @dataclass
@@ -120,18 +133,25 @@ def recorded_stages(clock: Callable[[], float]) -> Iterator[StageTimes]:
     with ExitStack() as patches:
         for owner, attribute, name in METHODS:
             patches.enter_context(patch.object(owner, attribute, _timed(times, getattr(owner, attribute), name)))
-        patches.enter_context(patch.object(Stepper, "_launch", _timed_launch(times)))
+        patches.enter_context(patch.object(Launcher, "__call__", _timed_launch(times)))
         patches.enter_context(patch.object(ContactSolver, "solve", _counted_problems(times)))
+        # The parts of a graph could not be timed.
+        patches.enter_context(patch.object(stepper, "can_be_captured", lambda device: False))
         yield times
+
+
+def row_count(rows: RowList) -> int:
+    """Return how many rows there are, asking the device."""
+    return int(rows.device.count.numpy()[0])
 
 
 def _timed(times: StageTimes, function: Callable, name: str) -> Callable:
     @wraps(function)
     def call(*arguments, **options):
         if function is multiply_rows:
-            times.products[arguments[0].shape[0]] += 1
+            times.products[row_count(arguments[0])] += 1
         if name in ("residual", "Anderson", "shared inverse"):
-            times.rows[name] += arguments[1].shape[0]
+            times.rows[name] += row_count(arguments[1])
         with times.stage(name):
             return function(*arguments, **options)
 
@@ -139,19 +159,11 @@ def _timed(times: StageTimes, function: Callable, name: str) -> Callable:
 
 
 def _timed_launch(times: StageTimes) -> Callable:
-    launch = Stepper._launch
+    launch = Launcher.__call__
 
-    def call(self: Stepper, kernel, *arguments, **options):
-        if kernel is self._model.kernels.forces:
-            name = "element pass"
-        elif kernel.key in NODAL_KERNELS:
-            name = "nodal residual"
-        elif kernel.key in TURNING_KERNELS:
-            name = "turning"
-        else:
-            return launch(self, kernel, *arguments, **options)
-        with times.stage(name):
-            return launch(self, kernel, *arguments, **options)
+    def call(self: Launcher, kernel: wp.Kernel, *arguments) -> None:
+        with times.stage(KERNELS[kernel]) if kernel in KERNELS else nullcontext():
+            launch(self, kernel, *arguments)
 
     return call
 
@@ -159,11 +171,11 @@ def _timed_launch(times: StageTimes) -> Callable:
 def _counted_problems(times: StageTimes) -> Callable:
     solve = ContactSolver.solve
 
-    def call(self: ContactSolver, problems: ContactProblems, *arguments):
-        solve(self, problems, *arguments)
-        rows = problems.worlds.shape[0]
-        counts, systems = problems.count.numpy()[problems.worlds.numpy()], self.systems.numpy()[:rows]
-        pressed = (self.force.numpy()[:rows, :, 0] > 0.0) & (np.arange(self.force.shape[1]) < counts[:, None])
+    def call(self: ContactSolver, rows: RowList, problems: ContactProblems, *arguments):
+        solve(self, rows, problems, *arguments)
+        number = row_count(rows)
+        counts, systems = problems.count.numpy()[problems.worlds.numpy()[:number]], self.systems.numpy()[:number]
+        pressed = (self.force.numpy()[:number, :, 0] > 0.0) & (np.arange(self.force.shape[1]) < counts[:, None])
         times.problems.update(counts.tolist())
         for unknowns, number in zip(3 * pressed.sum(axis=1), systems, strict=True):
             times.systems[int(unknowns)] += int(number)
@@ -201,9 +213,10 @@ def bare_products(times: StageTimes, size: int, device: wp.Device) -> float:
     clock = thread_clock(device)
 
     def bare(count: int) -> float:
-        rows, out = (wp.zeros((count, size), dtype=wp.float64, device=device) for _ in range(2))
-        rows.fill_(1.0)
-        return _best(lambda: multiply_rows(rows, matrix, out), clock)
+        rows = RowList(count, device).assign(np.arange(count))
+        left, out = (wp.zeros((count, size), dtype=wp.float64, device=device) for _ in range(2))
+        left.fill_(1.0)
+        return _best(lambda: multiply_rows(rows, left, matrix, out), clock)
 
     return _total(times.products, bare)
 

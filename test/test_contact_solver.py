@@ -18,10 +18,12 @@ from defgrasp_ros.simulation.kernels_block_matrix import (
 )
 from defgrasp_ros.simulation.kernels_contact_solver import ATTEMPTS
 from defgrasp_ros.simulation.kernels_interior_point import InteriorPointBuffers, interior_point
+from defgrasp_ros.simulation.rows import RowList
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
 FRICTION = 0.5
 TOLERANCE = 1e-9
+ONE_ROW = RowList(1, wp.get_device("cpu")).assign(np.array([0]))
 
 
 def blocks(matrix: np.ndarray) -> np.ndarray:
@@ -83,7 +85,7 @@ def solve_with_attempts(
     """Forces of one problem, shape ``(contact, 3)``, and the number of methods it took; from no force by default."""
     solver = solver or ContactSolver(1, len(offset) // 3, wp.get_device("cpu"))
     tolerance = wp.array([TOLERANCE], dtype=wp.float64, device="cpu")
-    solver.solve(problem_of(matrix, offset, friction, start), tolerance)
+    solver.solve(ONE_ROW, problem_of(matrix, offset, friction, start), tolerance)
     return solver.force.numpy()[0].copy(), int(solver.attempts.numpy()[0])
 
 
@@ -259,7 +261,7 @@ def test_kernel_judges_like_the_formula():
     arrays = [wp.array(a, dtype=vec3d, device="cpu") for a in (force[None], motion)]
     out = wp.zeros(1, dtype=wp.float64, device="cpu")
     count, scale = wp.array([len(force)], dtype=int), wp.array([scale_of(matrix)])
-    inputs = [count, wp.array([0], dtype=int), FRICTION, scale, *arrays]
+    inputs = [ONE_ROW.device, count, FRICTION, scale, *arrays]
     wp.launch(coulomb.contact_residual, dim=1, inputs=inputs, outputs=[out], device="cpu")
     assert out.numpy()[0] == pytest.approx(residual(matrix, offset, force), rel=1e-12)
 

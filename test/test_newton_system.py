@@ -10,6 +10,7 @@ from defgrasp_ros.simulation import kernels_coulomb as coulomb
 from defgrasp_ros.simulation.contact_solver import ContactSolver
 from defgrasp_ros.simulation.kernels_contact_solver import ATTEMPTS
 from defgrasp_ros.simulation.kernels_newton_system import COLUMNS, NewtonSystems, find_direction
+from defgrasp_ros.simulation.rows import RowList
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
 STICKING, SLIDING, OPEN = np.array([1.0, 0.1, 0.2]), np.array([1.0, 0.8, -0.6]), np.array([-0.5, 0.3, 0.1])
@@ -173,7 +174,8 @@ def pressed_problem(contacts: int = 16) -> tuple[np.ndarray, np.ndarray]:
 
 def solve_on(solver: ContactSolver, problem: coulomb.ContactProblems) -> np.ndarray:
     """Forces of one problem, shape ``(contact, 3)``."""
-    solver.solve(problem, wp.array([TOLERANCE], dtype=wp.float64, device="cpu"))
+    rows = RowList(1, wp.get_device("cpu")).assign(problem.worlds.numpy())
+    solver.solve(rows, problem, wp.full(2, TOLERANCE, dtype=wp.float64, device="cpu"))
     return solver.force.numpy()[0].copy()
 
 
@@ -183,7 +185,7 @@ def test_forgotten_factors_are_not_used():
     matrix, offset = pressed_problem()
     other = matrix + 1e-4 * (np.eye(48, k=3) + np.eye(48, k=-3))  # the same scale
     start = solve_on(used, problem_of(matrix, offset))
-    used.forget(np.array([0]))
+    used.forget(RowList(1, wp.get_device("cpu")).assign(np.array([0])))
     by_used, by_fresh = (solve_on(solver, problem_of(other, offset, start=start)) for solver in (used, fresh))
     np.testing.assert_array_equal(by_used, by_fresh)
     assert used.factorised.numpy()[0] == fresh.factorised.numpy()[0] > 0
@@ -222,11 +224,13 @@ def test_new_compliance_forgets_the_factors(monkeypatch):
     """Whenever a simulation assembles the compliance of a world anew, what its solver knew is forgotten."""
     forgotten = []
     forget = ContactSolver.forget
-    monkeypatch.setattr(ContactSolver, "forget", lambda self, worlds: (forgotten.append(worlds), forget(self, worlds)))
+    monkeypatch.setattr(
+        ContactSolver, "forget", lambda self, rows: (forgotten.append(list(rows.worlds)), forget(self, rows))
+    )
     simulator = held_block((0.02, 0.02, 0.02), (3, 4, 3))
     contacts = simulator._shards[0].contacts
     before = contacts._problems.matrix.numpy().copy()
     forgotten.clear()
     simulator.step(np.array([0]), 0.5 * STEP, np.array([1.5]), np.array([-1.0]), quasi_static=True)
     assert (contacts._problems.matrix.numpy() != before).any()
-    assert [list(worlds) for worlds in forgotten][:1] == [[0]]
+    assert forgotten[:1] == [[0]]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from defgrasp_ros.simulation.rows import Launcher, RowList, Rows, world_of
 from defgrasp_ros.simulation.types import vec3d
 
 wp.set_module_options({"enable_backward": False})
@@ -29,7 +30,7 @@ class Anderson:
 
     def __init__(self, world_count: int, node_count: int, capacity: int, device: wp.Device):
         slots = DEPTH + 1
-        self._device = device
+        self._launch = Launcher(device)
         self.capacity = capacity
         """Room for contact points per world."""
         self._image = wp.zeros((slots, world_count, node_count), dtype=vec3d, device=device)
@@ -39,21 +40,19 @@ class Anderson:
         """Iterates recorded since the last start, per world."""
 
     def mix(
-        self, rows: wp.array, before: wp.array, displacement: wp.array, contact_count: wp.array, contact_force: wp.array
+        self, rows: RowList, before: wp.array, displacement: wp.array, contact_count: wp.array, contact_force: wp.array
     ) -> None:
         """Replace the images of this iteration by the accelerated iterates.
 
         Args:
             rows: Worlds.
-            before: Iterate u_k (row, node) [m].
+            before: Iterate u_k (world, node) [m].
             displacement: Image g_k, in and out (world, node) [m].
             contact_count: Contact points (world,).
             contact_force: Contact forces that belong to g_k, in and out (world, contact) [N].
         """
-        inputs = [rows, before, displacement, contact_count, contact_force, self.length]
-        wp.launch(
-            _mix, dim=rows.shape[0], inputs=[*inputs, self._image, self._change, self._force], device=self._device
-        )
+        inputs = [before, displacement, contact_count, contact_force, self.length]
+        self._launch(_mix, (rows,), [*inputs, self._image, self._change, self._force])
 
 
 @wp.func
@@ -93,8 +92,8 @@ def solve_symmetric(a: _matrix, b: _vector, size: int) -> _vector:
 
 @wp.kernel
 def _mix(
-    worlds: wp.array[int],  # (row,)
-    before: wp.array2d[vec3d],  # (row, node) [m]
+    rows: Rows,
+    before: wp.array2d[vec3d],  # (world, node) [m]
     displacement: wp.array2d[vec3d],  # (world, node) [m], in and out
     contact_count: wp.array[int],  # (world,)
     contact_force: wp.array2d[vec3d],  # (world, contact) [N], in and out
@@ -104,13 +103,14 @@ def _mix(
     force: wp.array3d[vec3d],  # (slot, world, contact) [N], in and out
 ):
     """Record the iterate of a world, then mix it with those before."""
-    i = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, wp.tid())
+    if w < 0:
+        return
     slots = DEPTH + 1
     newest = length[w] % slots
     for n in range(before.shape[1]):
         image[newest, w, n] = displacement[w, n]
-        change[newest, w, n] = displacement[w, n] - before[i, n]
+        change[newest, w, n] = displacement[w, n] - before[w, n]
     for c in range(contact_count[w]):
         force[newest, w, c] = contact_force[w, c]
     earlier = wp.min(length[w], DEPTH)

@@ -14,9 +14,10 @@ from defgrasp_ros.simulation.contact_forces import ContactForces
 from defgrasp_ros.simulation.contact_solver import ContactSolver
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.kernels_block_matrix import half_size
+from defgrasp_ros.simulation.rows import Launcher, RowList
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
 from defgrasp_ros.simulation.types import mat33d, vec3d
-from defgrasp_ros.simulation.world_state import WorldState, clear_rows, set_entries
+from defgrasp_ros.simulation.world_state import WorldState, set_entries
 
 wp.set_module_options({"enable_backward": False})
 
@@ -37,7 +38,7 @@ CONTACT_FIELDS = ("key", "body", "nodes", "weights", "frame", "plane", "axis", "
 class ContactSet:
     """Candidate points with their forces, and the contact problem that they pose.
 
-    ``rows`` of the methods are lists of worlds on the device; work buffers have one row per entry.
+    ``rows`` of the methods are the worlds that they are about.
     """
 
     def __init__(
@@ -59,16 +60,21 @@ class ContactSet:
         chunk_count = -(-feature_count // detection.CHUNK)
         self._near = wp.zeros((world_count, faces.BODY_COUNT, chunk_count), dtype=wp.uint64, device=device)
         self._no_correction = wp.zeros((world_count, model.node_count), dtype=vec3d, device=device)
-        self._missing = wp.zeros(world_count, dtype=int, device=device)
-        self._residual = wp.zeros(world_count, dtype=wp.float64, device=device)
+        self.missing, self.longest = (wp.zeros(size, dtype=int, device=device) for size in (world_count, 1))
+        """Points that ``complete`` has added, per world, and the room that the longest list has ever needed."""
+        self.residual = wp.zeros(world_count, dtype=wp.float64, device=device)
+        """How far the worst contact of each world is from its law [N], of ``find_residual``."""
+        self._rho, self._assembled_step = (wp.zeros(world_count, dtype=wp.float64, device=device) for _ in range(2))
+        self._stale_rows = RowList(world_count, device)
+        self._every_row = RowList(world_count, device).assign(np.arange(world_count))
         self.stale = wp.ones(world_count, dtype=int, device=device)
         """Worlds whose compliance must be assembled anew."""
-        self._assembled_step = np.zeros(world_count)
         self._allocate(INITIAL_CAPACITY)
 
     def _allocate(self, capacity: int) -> None:
         worlds, device = self._world_count, self._device
         self.capacity = capacity
+        self._launch = Launcher(device)
         self.lists, self._remembered, self._found, self._merged = (
             self._contact_list(worlds, capacity) for _ in range(4)
         )
@@ -76,24 +82,31 @@ class ContactSet:
         self._proposed_gap = wp.zeros((faces.BODY_COUNT * worlds, capacity), dtype=wp.float64, device=device)
         self._owned = wp.zeros((faces.BODY_COUNT * worlds, capacity), dtype=int, device=device)
         self._gap = wp.zeros((worlds, capacity), dtype=wp.float64, device=device)
-        self._force = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
-        self._motion = wp.zeros((worlds, capacity), dtype=vec3d, device=device)
-        self._rho = wp.zeros(worlds, dtype=wp.float64, device=device)
+        self._force, self._motion = (wp.zeros((worlds, capacity), dtype=vec3d, device=device) for _ in range(2))
         self._problems = coulomb.ContactProblems()
         self._problems.count, self._problems.rho = self.lists.count, self._rho
         self._problems.friction = self._model.friction
         self._problems.matrix = wp.zeros((worlds, half_size(capacity)), dtype=mat33d, device=device)
         self._problems.force, self._problems.motion = self._force, self._motion
         self._solver = ContactSolver(worlds, capacity, device)
+        self._candidates = self._scene(self._margin)
+        self._overlooked = self._scene(-self._penetration)
         self.stale.fill_(1)
 
     def _grow(self, count: int) -> None:
         """Make room for ``count`` points per world, keeping the lists."""
         kept = self.lists, self._remembered
         self._allocate(INITIAL_CAPACITY * -(-count // INITIAL_CAPACITY))
-        every = wp.array(np.arange(self._world_count), dtype=int, device=self._device)
         for source, target in zip(kept, (self.lists, self._remembered), strict=True):
-            self._launch(contact.copy_contacts, self._world_count, [every, source, target])
+            self._copy(self._every_row, source, target)
+
+    def begin_anew(self, rows: RowList, longest: int) -> None:
+        """Make room for the longest list, and go back to where the step of some worlds began."""
+        self._grow(longest)
+        self._copy(rows, self._remembered, self.lists)
+
+    def _copy(self, rows: RowList, source: contact.ContactList, target: contact.ContactList) -> None:
+        self._launch(contact.copy_contacts, (rows,), [self.longest, source, target])
 
     def _contact_list(self, rows: int, capacity: int) -> contact.ContactList:
         shape, result = (rows, capacity), contact.ContactList()
@@ -109,85 +122,66 @@ class ContactSet:
         result.trend = wp.zeros(shape, dtype=vec3d, device=self._device)
         return result
 
-    def remember(self, rows: wp.array) -> None:
-        """Keep the lists of some worlds, to go back to them."""
-        self._launch(contact.copy_contacts, rows.shape[0], [rows, self.lists, self._remembered])
+    def remember(self, rows: RowList, step_length: float) -> None:
+        """Keep the lists of some worlds, to go back to them, before a step of a length [s]."""
+        inputs = [step_length, self._assembled_step, self.lists, self._remembered, self.stale]
+        self._launch(contact.remember_contacts, (rows,), inputs)
 
-    def go_back(self, rows: wp.array) -> None:
+    def go_back(self, rows: RowList) -> None:
         """Take the lists that were last remembered, without their trends: they may have led astray."""
-        self._launch(contact.copy_contacts, rows.shape[0], [rows, self._remembered, self.lists])
-        self.forget_trends(rows)
-        set_entries(self.stale, rows.numpy(), 1)
+        self._launch(contact.take_back_contacts, (rows,), [self._remembered, self.lists, self.stale])
 
-    def extrapolate(self, rows: wp.array, step_length: float) -> None:
+    def extrapolate(self, rows: RowList, step_length: float) -> None:
         """Let the forces go on as in the step before: a first guess."""
-        self._launch(contact.extrapolate_forces, (rows.shape[0], self.capacity), [rows, step_length, self.lists])
+        self._launch(contact.extrapolate_forces, (rows, self.capacity), [step_length, self.lists])
 
-    def find_trends(self, rows: wp.array, step_length: float) -> None:
-        """Note what the step since ``remember`` changed."""
-        self._launch(contact.find_trends, rows.shape[0], [rows, step_length, self._remembered, self.lists])
-
-    def forget_trends(self, rows: wp.array) -> None:
-        """Let the forces of some worlds stay as they are in the next first guess."""
-        clear_rows(self.lists.trend, rows)
+    def find_trends(self, rows: RowList, step_length: float, iterations: wp.array) -> None:
+        """Note what the step since ``remember``, of so many iterations (world,), changed."""
+        self._launch(contact.find_trends, (rows,), [step_length, iterations, self._remembered, self.lists])
 
     # --- finding points -----------------------------------------------------------------------------------------
+    # Where there is too little room for them, nothing is listed, and ``longest`` tells.
 
-    def find(self, rows: wp.array) -> None:
+    def find(self, rows: RowList, shared: SharedCompliance) -> None:
         """List the candidates at the present displacement; a point found again keeps its force."""
-        self._search(rows, self._margin)
-        self._carry_forces(rows, self.stale)
-        self._launch(contact.copy_contacts, rows.shape[0], [rows, self._found, self.lists])
+        self._search(rows, self._candidates)
+        self._launch(selection.carry_forces, (rows,), [self._candidates, self.lists, self._found, self.stale])
+        self._copy(rows, self._found, self.lists)
+        self._estimate_rho(rows, shared)
 
-    def complete(self, rows: wp.array) -> np.ndarray:
-        """Add points that are deep inside a body and not listed; return in which rows there were any."""
-        while True:
-            self._search(rows, -self._penetration)
-            worlds = rows.numpy()
-            room = (self.lists.count.numpy()[worlds] + self._found.count.numpy()[worlds]).max(initial=0)
-            if room <= self.capacity:
-                break
-            self._grow(room)
-        self._carry_forces(rows, wp.zeros_like(self.stale))
-        missing = self._missing.numpy()[: len(worlds)] > 0
-        if missing.any():
-            some = wp.array(worlds[missing], dtype=int, device=self._device)
-            self._launch(
-                contact.merge_contacts, some.shape[0], [some, self.lists, self._found], [self._merged, self.stale]
-            )
-            self._launch(contact.copy_contacts, some.shape[0], [some, self._merged, self.lists])
-        return missing
+    def complete(self, rows: RowList, shared: SharedCompliance) -> None:
+        """Add points that are deep inside a body and not listed; ``missing`` tells how many there were."""
+        self._search(rows, self._overlooked)
+        inputs = [self.lists, self._found, self._gap, self.missing, self.longest]
+        self._launch(selection.count_missing, (rows,), inputs)
+        inputs = [self.missing, self.longest, self._found, self.lists, self._merged, self.stale]
+        self._launch(contact.merge_contacts, (rows,), inputs)
+        self._estimate_rho(rows, shared)
 
-    def _search(self, rows: wp.array, margin: float) -> None:
-        """Fill the list of found points, which grows as needed."""
-        scene = self._scene(self._state.displacement, margin)
-        self._screen(scene, rows)
-        while True:
-            needed = self._propose(scene, rows, self._proposed, self._proposed_gap)
-            if needed <= self.capacity:
-                inputs = [scene, rows, self._proposed, self._proposed_gap]
-                self._launch(selection.drop_dependent, (rows.shape[0], faces.BODY_COUNT), inputs, [self._owned])
-                inputs = [self._proposed, self._proposed_gap, rows]
-                self._launch(selection.join_bodies, rows.shape[0], inputs, [self._found, self._gap])
-                needed = int(self._found.count.numpy()[rows.numpy()].max(initial=0))
-            if needed <= self.capacity:
-                return
-            self._grow(needed)
+    def _search(self, rows: RowList, scene: detection.Scene) -> None:
+        """Fill the list of found points, as far as there is room."""
+        bodies, proposed = (rows, faces.BODY_COUNT), [self._proposed, self._proposed_gap]
+        self._screen(rows, scene)
+        self._launch(detection.propose_contacts, bodies, [scene, self._near, *proposed, self.longest])
+        self._launch(selection.drop_dependent, bodies, [scene, *proposed, self._owned])
+        self._launch(selection.join_bodies, (rows,), [*proposed, self._found, self._gap, self.longest])
 
-    def pad_gaps(self, rows: wp.array, reach: float) -> np.ndarray:
+    def pad_gaps(self, rows: RowList, reach: float) -> np.ndarray:
         """Return how far each pad can close before it touches the surface in front of it [m], shape ``(row, 2)``.
 
         It is inf where there is none within ``reach`` [m].
         """
-        scene = self._scene(self._state.start_displacement, reach)
-        scene.deep = np.inf
-        self._screen(scene, rows)
-        capacity = 0
+        scene = self._scene(reach)
+        scene.displacement, scene.deep = self._state.start_displacement, np.inf
+        self._screen(rows, scene)
+        capacity, row_count = 0, faces.BODY_COUNT * rows.count
         while True:
-            row_count = faces.BODY_COUNT * rows.shape[0]
             every = self._contact_list(row_count, capacity)
             gap = wp.zeros((row_count, capacity), dtype=wp.float64, device=self._device)
-            needed = self._propose(scene, rows, every, gap)
+            longest = wp.zeros(1, dtype=int, device=self._device)
+            inputs = [scene, self._near, every, gap, longest]
+            self._launch(detection.propose_contacts, (rows, faces.BODY_COUNT), inputs)
+            needed = int(longest.numpy()[0])
             if needed <= capacity:
                 break
             capacity = needed
@@ -195,90 +189,79 @@ class ContactSet:
         smallest = np.where(listed, gap.numpy(), np.inf).min(axis=1, initial=np.inf)
         return smallest.reshape(-1, faces.BODY_COUNT)[:, [faces.LEFT_PAD, faces.RIGHT_PAD]]
 
-    def _scene(self, displacement: wp.array, margin: float) -> detection.Scene:
-        scene, model = detection.Scene(), self._model
-        scene.surface, scene.faces, scene.bodies = model.surface, model.faces, self._state.bodies
-        scene.rest, scene.displacement = model.vertices, displacement
-        scene.start_displacement = self._state.start_displacement
+    def _scene(self, margin: float) -> detection.Scene:
+        scene, model, state = detection.Scene(), self._model, self._state
+        scene.surface, scene.faces, scene.bodies = model.surface, model.faces, state.bodies
+        scene.rest, scene.displacement, scene.start_displacement = (
+            model.vertices,
+            state.displacement,
+            state.start_displacement,
+        )
         scene.margin, scene.tie, scene.deep = margin, TIE * model.size, DEEP * model.size
         scene.normal, scene.places, scene.listed = self._normal, self._places, self.lists
         return scene
 
-    def _screen(self, scene: detection.Scene, rows: wp.array) -> None:
+    def _screen(self, rows: RowList, scene: detection.Scene) -> None:
         """Mark the features of the surface that can be nearer to a body than the margin."""
-        count = rows.shape[0]
-        self._launch(detection.look_at_nodes, (count, len(scene.surface.nodes)), [scene, rows])
-        self._launch(detection.screen_features, (count, self._near.shape[2]), [scene, rows], [self._near])
-
-    def _propose(self, scene: detection.Scene, rows: wp.array, proposed: contact.ContactList, gap: wp.array) -> int:
-        """List the candidates of each world and body; return how much room the longest list needs."""
-        dim = (rows.shape[0], faces.BODY_COUNT)
-        inputs = [scene, self._near, rows]
-        self._launch(detection.propose_contacts, dim, inputs, [proposed, gap])
-        return int(proposed.count.numpy()[: dim[0] * dim[1]].max(initial=0))
-
-    def _carry_forces(self, rows: wp.array, stale: wp.array) -> None:
-        scene = self._scene(self._state.displacement, self._margin)
-        inputs = [scene, rows, self.lists, self._gap]
-        self._launch(selection.carry_forces, rows.shape[0], inputs, [self._found, stale, self._missing])
+        self._launch(detection.look_at_nodes, (rows, len(self._model.surface.nodes)), [scene])
+        self._launch(detection.screen_features, (rows, self._near.shape[2]), [scene, self._near])
 
     # --- compliance ---------------------------------------------------------------------------------------------
 
-    def expect_step(self, worlds: np.ndarray, step_length: float) -> None:
-        """The next compliance is for steps of this length [s]."""
-        set_entries(self.stale, worlds[self._assembled_step[worlds] != step_length], 1)
-
-    def refresh_compliance(self, rows: wp.array, shared: SharedCompliance) -> None:
+    def refresh_compliance(self, rows: RowList, shared: SharedCompliance) -> None:
         """Assemble W anew where the points, the rotations or the step length changed."""
-        worlds, state = rows.numpy(), self._state
-        stale = worlds[self.stale.numpy()[worlds] != 0]
-        if not len(stale):
-            return
-        some, lists = wp.array(stale, dtype=int, device=self._device), self.lists
-        inputs = [lists.count, lists.nodes, lists.weights, shared.elastic, some]
-        self._launch(coulomb.estimate_rho, len(stale), inputs, [self._rho])
-        self._launch(
-            contact.assemble_contact_compliance,
-            (len(stale), self.capacity, self.capacity),
-            [shared.matrix, shared.step_length, lists, some, state.rotation, state.finger_damping],
-            [self._problems.matrix],
-        )
+        stale, state = self._stale_rows, self._state
+        stale.select(rows, self.stale, 1, self.longest, self.capacity)
+        inputs = [shared.matrix, shared.step_length, self.lists, state.rotation, state.finger_damping]
+        outputs = [self._problems.matrix, self.stale, self._assembled_step]
+        self._launch(contact.assemble_contact_compliance, (stale, self.capacity), [*inputs, *outputs])
         self._solver.forget(stale)
-        set_entries(self.stale, stale, 0)
-        self._assembled_step[stale] = shared.step_length
+
+    def _estimate_rho(self, rows: RowList, shared: SharedCompliance) -> None:
+        inputs = [self.lists.count, self.lists.nodes, self.lists.weights, shared.elastic, self._rho]
+        self._launch(coulomb.estimate_rho, (rows,), inputs)
 
     # --- forces -------------------------------------------------------------------------------------------------
 
-    def add_forces(self, rows: wp.array, nodal_force: wp.array) -> None:
-        """Add the contact forces to nodal forces (row, node) [N]."""
-        self._launch(contact.gather_forces, (rows.shape[0], self.capacity), [rows, self.lists], [self._force])
-        self._scatter(rows, nodal_force)
+    def add_forces(self, rows: RowList, nodal_force: wp.array) -> None:
+        """Add the contact forces to nodal forces (world, node) [N]."""
+        self._launch(contact.add_forces, (rows,), [self.lists, nodal_force])
 
-    def residual(self, rows: wp.array) -> np.ndarray:
-        """Return how far each row's worst contact is from its law [N], shape ``(row,)``; after ``add_forces``."""
-        self._relative_motion(rows, self._no_correction)
-        inputs = [self.lists.count, rows, self._model.friction, self._rho, self._force, self._motion]
-        self._launch(coulomb.contact_residual, rows.shape[0], inputs, [self._residual])
-        return self._residual.numpy()[: rows.shape[0]]
+    def find_residual(self, rows: RowList) -> None:
+        """Find how far each world's worst contact is from its law."""
+        self._look_at_contacts(rows, self._no_correction)
+        inputs = [self.lists.count, self._model.friction, self._rho, self._force, self._motion, self.residual]
+        self._launch(coulomb.contact_residual, (rows,), inputs)
 
-    def solve(self, rows: wp.array, correction: wp.array, tolerance: np.ndarray) -> np.ndarray:
-        """Find the forces that obey the contact laws at displacement + correction; return which rows were hard.
+    def solve(self, rows: RowList, correction: wp.array, tolerance: wp.array) -> None:
+        """Find the forces that obey the contact laws at displacement + correction.
 
         Args:
             rows: Worlds.
-            correction: Nodal correction that would follow without a change of forces (row, node) [m].
-            tolerance: Largest residual [N], shape ``(row,)``.
+            correction: Nodal correction that would follow without a change of forces (world, node) [m].
+            tolerance: Largest residual (world,) [N].
         """
-        self._relative_motion(rows, correction)
-        problems, solver, places = self._problems, self._solver, (rows.shape[0], self.capacity)
-        problems.worlds = rows
-        solver.solve(problems, wp.array(tolerance, dtype=wp.float64, device=self._device))
-        self._launch(contact.take_forces, places, [rows, solver.force, self.lists, self._force])
-        return solver.attempts.numpy()[: len(tolerance)] > 1
+        self._look_at_contacts(rows, correction)
+        if self._problems.worlds is not rows.device.worlds:
+            self._problems.worlds = rows.device.worlds
+        self._solver.solve(rows, self._problems, tolerance)
 
-    def add_force_change(self, rows: wp.array, nodal_force: wp.array) -> None:
-        """Add what the last ``solve`` changed in the contact forces to nodal forces (row, node) [N]."""
-        self._scatter(rows, nodal_force)
+    def take_forces(self, rows: RowList, nodal_force: wp.array, hard: wp.array) -> None:
+        """Take the forces of ``solve``.
+
+        Args:
+            rows: Worlds.
+            nodal_force: What they change is added to it (world, node) [N].
+            hard: Counts the problems that needed more than their first method (world,).
+        """
+        inputs = [self._solver.force, self._solver.attempts, self.lists, nodal_force, hard]
+        self._launch(contact.take_forces, (rows,), inputs)
+
+    def _look_at_contacts(self, rows: RowList, correction: wp.array) -> None:
+        """Take the contacts' motion at displacement + correction, and their forces, into the work buffers."""
+        state = self._state
+        inputs = [self._model.vertices, state.bodies, self.lists, state.start_displacement, state.displacement]
+        self._launch(contact.contact_state, (rows, self.capacity), [*inputs, correction, self._motion, self._force])
 
     def snapshot(self, world: int) -> dict[str, np.ndarray]:
         """Return the points and forces of a world, on the host."""
@@ -322,23 +305,3 @@ class ContactSet:
             weights=weights,
             friction=self._model.friction,
         )
-
-    def _scatter(self, rows: wp.array, nodal_force: wp.array) -> None:
-        inputs = [self.lists, rows, self._force, nodal_force]
-        self._launch(contact.scatter_contact_forces, rows.shape[0], inputs)
-
-    def _relative_motion(self, rows: wp.array, correction: wp.array) -> None:
-        state = self._state
-        inputs = [
-            self._model.vertices,
-            state.bodies,
-            self.lists,
-            rows,
-            state.start_displacement,
-            state.displacement,
-            correction,
-        ]
-        self._launch(contact.relative_motion, (rows.shape[0], self.capacity), inputs, [self._motion])
-
-    def _launch(self, kernel, dim, inputs: list, outputs: list | None = None) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self._device)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import warp as wp
 
 from defgrasp_ros.simulation.kernels_block_matrix import half_size
@@ -11,8 +10,8 @@ from defgrasp_ros.simulation.kernels_coulomb import ContactProblems
 from defgrasp_ros.simulation.kernels_interior_point import InteriorPointBuffers
 from defgrasp_ros.simulation.kernels_newton import NewtonBuffers
 from defgrasp_ros.simulation.kernels_newton_system import COLUMNS, Base, NewtonSystems
+from defgrasp_ros.simulation.rows import Launcher, RowList, Rows, world_of
 from defgrasp_ros.simulation.types import mat33d, vec3d
-from defgrasp_ros.simulation.world_state import set_entries
 
 
 class ContactSolver:
@@ -25,7 +24,7 @@ class ContactSolver:
     """
 
     def __init__(self, world_count: int, capacity: int, device: wp.Device):
-        self._device = device
+        self._launch = Launcher(device)
 
         def zeros(dtype, *shape: int) -> wp.array:
             return wp.zeros((world_count, *shape), dtype=dtype, device=device)
@@ -64,21 +63,25 @@ class ContactSolver:
         for name in ("offset", "x", "z", "missing", "dx", "dz", "force", "motion", "best"):
             setattr(self._interior, name, zeros(vec3d, capacity))
 
-    def forget(self, worlds: np.ndarray) -> None:
+    def forget(self, rows: RowList) -> None:
         """The matrices of these worlds have changed: what is known of them is of no use any more."""
-        set_entries(self._base.valid, worlds, 0)
+        self._launch(_forget, (rows,), [self._base])
 
-    def solve(self, problems: ContactProblems, tolerance: wp.array) -> None:
+    def solve(self, rows: RowList, problems: ContactProblems, tolerance: wp.array) -> None:
         """Find the forces that obey the laws of contact; those that do it best where none do well enough.
 
         Args:
+            rows: Worlds, those of the problems.
             problems: One per row. The matrix of a world is the one before, unless ``forget`` was told.
-            tolerance: Largest accepted residual (row,) [N].
+            tolerance: Largest accepted residual (world,) [N].
         """
-        wp.launch(
-            solve_contacts,
-            dim=problems.worlds.shape[0],
-            inputs=[problems, tolerance, self._newton, self._interior],
-            outputs=[self.force, self.attempts],
-            device=self._device,
-        )
+        inputs = [problems, tolerance, self._newton, self._interior]
+        self._launch(solve_contacts, (rows,), [*inputs, self.force, self.attempts])
+
+
+@wp.kernel
+def _forget(rows: Rows, base: Base):
+    """No factors are known."""
+    w = world_of(rows, wp.tid())
+    if w >= 0:
+        base.valid[w] = 0

@@ -15,6 +15,7 @@ import warp as wp
 
 from defgrasp_ros.simulation.kernels_block_matrix import place_in_half
 from defgrasp_ros.simulation.kernels_faces import Bodies, is_pad
+from defgrasp_ros.simulation.rows import Rows, world_of
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
 wp.set_module_options({"enable_backward": False})
@@ -50,18 +51,32 @@ def copy_contact(source: ContactList, source_row: int, k: int, target: ContactLi
     target.trend[target_row, c] = source.trend[source_row, k]
 
 
+@wp.func
+def copy_list(source: ContactList, target: ContactList, world: int):
+    """Copy the list of a world."""
+    target.count[world] = source.count[world]
+    for c in range(source.count[world]):
+        copy_contact(source, world, c, target, world, c)
+
+
 @wp.kernel
 def merge_contacts(
-    worlds: wp.array[int],  # (row,)
-    listed: ContactList,
+    rows: Rows,
+    missing: wp.array[int],  # (world,): whether there is anything to add
+    longest: wp.array[int],  # (1,): nothing is done where it does not fit
     found: ContactList,
+    # In and out:
+    listed: ContactList,
     # Out:
     merged: ContactList,
     compliance_is_stale: wp.array[int],  # (world,)
 ):
     """Add the points that were found to those that are listed, which stay as they are; all sorted by key."""
-    i = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, wp.tid())
+    if w < 0:
+        return
+    if missing[w] == 0 or longest[0] > listed.key.shape[1]:
+        return
     k = int(0)
     count = int(0)
     for c in range(found.count[w]):
@@ -77,38 +92,84 @@ def merge_contacts(
         k += 1
         count += 1
     merged.count[w] = count
+    copy_list(merged, listed, w)
     compliance_is_stale[w] = 1
 
 
 @wp.kernel
-def copy_contacts(worlds: wp.array[int], source: ContactList, target: ContactList):
-    """Copy the lists of some worlds."""
-    i = wp.tid()
-    w = worlds[i]
-    target.count[w] = source.count[w]
-    for c in range(source.count[w]):
-        copy_contact(source, w, c, target, w, c)
+def copy_contacts(rows: Rows, longest: wp.array[int], source: ContactList, target: ContactList):
+    """Copy the lists of some worlds, unless the longest (1,) does not fit."""
+    w = world_of(rows, wp.tid())
+    if w >= 0 and longest[0] <= target.key.shape[1]:
+        copy_list(source, target, w)
 
 
 @wp.kernel
-def find_trends(worlds: wp.array[int], step_length: wp.float64, former: ContactList, contacts: ContactList):
-    """Note how fast the forces changed since ``former``; those of new points have no trend. Both lists are sorted."""
-    i = wp.tid()
-    w = worlds[i]
+def remember_contacts(
+    rows: Rows,
+    step_length: wp.float64,  # of the step that begins [s]
+    assembled_step: wp.array[wp.float64],  # (world,): for which the compliance was assembled [s]
+    contacts: ContactList,
+    # Out:
+    remembered: ContactList,
+    compliance_is_stale: wp.array[int],  # (world,)
+):
+    """Keep the lists of worlds that begin a step."""
+    w = world_of(rows, wp.tid())
+    if w < 0:
+        return
+    copy_list(contacts, remembered, w)
+    if assembled_step[w] != step_length:
+        compliance_is_stale[w] = 1
+
+
+@wp.kernel
+def take_back_contacts(
+    rows: Rows,
+    remembered: ContactList,
+    # Out:
+    contacts: ContactList,
+    compliance_is_stale: wp.array[int],  # (world,)
+):
+    """Take the lists that were remembered, without their trends: they may have led astray."""
+    w = world_of(rows, wp.tid())
+    if w < 0:
+        return
+    copy_list(remembered, contacts, w)
+    for c in range(contacts.count[w]):
+        contacts.trend[w, c] = vec3d()
+    compliance_is_stale[w] = 1
+
+
+@wp.kernel
+def find_trends(
+    rows: Rows,
+    step_length: wp.float64,
+    iterations: wp.array[int],  # (world,), of the step
+    former: ContactList,
+    contacts: ContactList,
+):
+    """Note how fast the forces changed since ``former``; both lists are sorted. Those of new points have no trend, nor
+    have those of worlds that needed no iteration: nothing else would end a drift below the tolerance."""
+    w = world_of(rows, wp.tid())
+    if w < 0:
+        return
     k = int(0)
     for c in range(contacts.count[w]):
         while k < former.count[w] and former.key[w, k] < contacts.key[w, c]:
             k += 1
         contacts.trend[w, c] = vec3d()
-        if k < former.count[w] and former.key[w, k] == contacts.key[w, c]:
+        if iterations[w] > 0 and k < former.count[w] and former.key[w, k] == contacts.key[w, c]:
             contacts.trend[w, c] = (contacts.force[w, c] - former.force[w, k]) / step_length
 
 
 @wp.kernel
-def extrapolate_forces(worlds: wp.array[int], step_length: wp.float64, contacts: ContactList):
+def extrapolate_forces(rows: Rows, step_length: wp.float64, contacts: ContactList):
     """Let the forces follow their trends for a step; points that would pull carry nothing."""
     i, c = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     if c >= contacts.count[w]:
         return
     force = contacts.force[w, c] + step_length * contacts.trend[w, c]
@@ -130,26 +191,29 @@ def interpolate_rest(rest: wp.array[vec3d], nodes: wp.vec3i, weights: vec3d) -> 
 
 
 @wp.kernel
-def relative_motion(
+def contact_state(
+    rows: Rows,
     rest: wp.array[vec3d],  # (node,) [m]
     bodies: Bodies,
     contacts: ContactList,
-    worlds: wp.array[int],  # (row,)
     start_displacement: wp.array2d[vec3d],  # (world, node) [m]
     displacement: wp.array2d[vec3d],  # (world, node) [m]
-    correction: wp.array2d[vec3d],  # (row, node) [m], added to the displacement
+    correction: wp.array2d[vec3d],  # (world, node) [m], added to the displacement
     motion_out: wp.array2d[vec3d],  # (row, contact): gap, slip, slip [m]
+    force_out: wp.array2d[vec3d],  # (row, contact) [N]
 ):
-    """Gap and slip over the step of each contact point at displacement + correction."""
+    """Gap and slip over the step of each contact point at displacement + correction, and its force."""
     i, c = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     if c >= contacts.count[w]:
         return
     nodes = contacts.nodes[w, c]
     weights = contacts.weights[w, c]
     frame = contacts.frame[w, c]
     axis = contacts.axis[w, c]
-    u = interpolate(displacement, w, nodes, weights) + interpolate(correction, i, nodes, weights)
+    u = interpolate(displacement, w, nodes, weights) + interpolate(correction, w, nodes, weights)
     place = frame * (interpolate_rest(rest, nodes, weights) + u)
     slip = frame * (u - interpolate(start_displacement, w, nodes, weights))
     gap = place[0] - contacts.plane[w, c]
@@ -157,56 +221,56 @@ def relative_motion(
         gap += axis[0] * bodies.opening[w]
         slip += (bodies.opening[w] - bodies.start_opening[w]) * axis
     motion_out[i, c] = vec3d(gap, slip[1], slip[2])
+    force_out[i, c] = contacts.force[w, c]
+
+
+@wp.func
+def add_nodal_force(contacts: ContactList, world: int, c: int, force: vec3d, nodal_force: wp.array2d[vec3d]):
+    """Add J^T of one contact's force (normal, tangential, tangential) [N] to the nodal forces (world, node)."""
+    f = wp.transpose(contacts.frame[world, c]) * force
+    nodes = contacts.nodes[world, c]
+    weights = contacts.weights[world, c]
+    for k in range(3):
+        if weights[k] != wp.float64(0.0):
+            nodal_force[world, nodes[k]] = nodal_force[world, nodes[k]] + weights[k] * f
 
 
 @wp.kernel
-def scatter_contact_forces(
-    contacts: ContactList,
-    worlds: wp.array[int],  # (row,)
-    force: wp.array2d[vec3d],  # (row, contact): normal, tangential, tangential [N]
-    nodal_force: wp.array2d[vec3d],  # (row, node) [N], in and out
-):
-    """Add J^T lambda to the nodal forces."""
-    i = wp.tid()
-    w = worlds[i]
+def add_forces(rows: Rows, contacts: ContactList, nodal_force: wp.array2d[vec3d]):
+    """Add J^T lambda to the nodal forces (world, node) [N]."""
+    w = world_of(rows, wp.tid())
+    if w < 0:
+        return
     for c in range(contacts.count[w]):
-        f = wp.transpose(contacts.frame[w, c]) * force[i, c]
-        nodes = contacts.nodes[w, c]
-        weights = contacts.weights[w, c]
-        for k in range(3):
-            if weights[k] != wp.float64(0.0):
-                nodal_force[i, nodes[k]] = nodal_force[i, nodes[k]] + weights[k] * f
-
-
-@wp.kernel
-def gather_forces(worlds: wp.array[int], contacts: ContactList, force_out: wp.array2d[vec3d]):
-    """Copy the forces of the list into a work buffer (row, contact) [N]."""
-    i, c = wp.tid()
-    w = worlds[i]
-    if c < contacts.count[w]:
-        force_out[i, c] = contacts.force[w, c]
+        add_nodal_force(contacts, w, c, contacts.force[w, c], nodal_force)
 
 
 @wp.kernel
 def take_forces(
-    worlds: wp.array[int],  # (row,)
+    rows: Rows,
     force: wp.array2d[vec3d],  # (row, contact) [N]
+    attempts: wp.array[int],  # (row,): methods that it took to find them
     # In and out:
     contacts: ContactList,
-    change: wp.array2d[vec3d],  # (row, contact): in the forces of the list, out what they change by [N]
+    nodal_force: wp.array2d[vec3d],  # (world, node) [N]
+    hard: wp.array[int],  # (world,): how often it took more than one
 ):
-    """Put new forces into the list."""
-    i, c = wp.tid()
-    w = worlds[i]
-    if c < contacts.count[w]:
+    """Put new forces into the list, and add what they change, J^T (lambda' - lambda), to the nodal forces."""
+    i = wp.tid()
+    w = world_of(rows, i)
+    if w < 0:
+        return
+    for c in range(contacts.count[w]):
+        add_nodal_force(contacts, w, c, force[i, c] - contacts.force[w, c], nodal_force)
         contacts.force[w, c] = force[i, c]
-        change[i, c] = force[i, c] - change[i, c]
+    if attempts[i] > 1:
+        hard[w] = hard[w] + 1
 
 
 @wp.kernel
 def move_fingers(
+    rows: Rows,
     contacts: ContactList,
-    worlds: wp.array[int],  # (row,)
     step_length: wp.float64,  # [s]
     finger_damping: wp.array[wp.float64],  # (world,) [N s/m]
     closing_force: wp.array[wp.float64],  # (world,) [N]
@@ -215,7 +279,9 @@ def move_fingers(
 ):
     """Opening at the end of the step: c (q - q_n) / h = force of both pads along the closing axis - F."""
     i = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     total = wp.float64(0.0)
     for c in range(contacts.count[w]):
         if is_pad(contacts.body[w, c]):
@@ -223,41 +289,62 @@ def move_fingers(
     opening_out[w] = start_opening[w] + step_length / finger_damping[w] * (total - closing_force[w])
 
 
-@wp.kernel
-def assemble_contact_compliance(
-    compliance: wp.array2d[wp.float64],  # (3 node, 3 node) [m/N]
-    step_length: wp.float64,  # [s]
+@wp.func
+def compliance_block(
+    compliance: wp.array2d[wp.float64],
     contacts: ContactList,
-    worlds: wp.array[int],  # (row,)
-    rotation: wp.array2d[mat33d],  # (world, node)
-    finger_damping: wp.array[wp.float64],  # (world,) [N s/m]
-    # Out:
-    matrix_out: wp.array2d[mat33d],  # (world, place): upper half [m/N]
-):
-    """Gather W = J R P R^T J^T, and add what the fingers yield along the closing axis: h / c a a^T."""
-    i, a, b = wp.tid()
-    w = worlds[i]
-    if a >= contacts.count[w] or b >= contacts.count[w] or b < a:
-        return
+    rotation: wp.array2d[mat33d],
+    world: int,
+    a: int,
+    b: int,
+) -> mat33d:
+    """Gather the block of J R P R^T J^T that says how contact a moves under the force of contact b [m/N]."""
     block = mat33d()
     for k in range(3):
-        weight_a = contacts.weights[w, a][k]
+        weight_a = contacts.weights[world, a][k]
         if weight_a == wp.float64(0.0):
             continue
-        node_a = contacts.nodes[w, a][k]
+        node_a = contacts.nodes[world, a][k]
         row = mat33d()
         for m in range(3):
-            weight_b = contacts.weights[w, b][m]
+            weight_b = contacts.weights[world, b][m]
             if weight_b == wp.float64(0.0):
                 continue
-            node_b = contacts.nodes[w, b][m]
+            node_b = contacts.nodes[world, b][m]
             p = mat33d()
             for x in range(3):
                 for y in range(3):
                     p[x, y] = compliance[3 * node_a + x, 3 * node_b + y]
-            row += weight_b * (p * wp.transpose(rotation[w, node_b]))
-        block += weight_a * (rotation[w, node_a] * row)
-    block = contacts.frame[w, a] * block * wp.transpose(contacts.frame[w, b])
-    if is_pad(contacts.body[w, a]) and is_pad(contacts.body[w, b]):
-        block += step_length / finger_damping[w] * wp.outer(contacts.axis[w, a], contacts.axis[w, b])
-    matrix_out[w, place_in_half(a, b, contacts.count[w])] = block
+            row += weight_b * (p * wp.transpose(rotation[world, node_b]))
+        block += weight_a * (rotation[world, node_a] * row)
+    return contacts.frame[world, a] * block * wp.transpose(contacts.frame[world, b])
+
+
+@wp.kernel
+def assemble_contact_compliance(
+    rows: Rows,
+    compliance: wp.array2d[wp.float64],  # (3 node, 3 node) [m/N]
+    step_length: wp.float64,  # [s]
+    contacts: ContactList,
+    rotation: wp.array2d[mat33d],  # (world, node)
+    finger_damping: wp.array[wp.float64],  # (world,) [N s/m]
+    # Out:
+    matrix_out: wp.array2d[mat33d],  # (world, place): upper half [m/N]
+    is_stale_out: wp.array[int],  # (world,)
+    assembled_step_out: wp.array[wp.float64],  # (world,) [s]
+):
+    """Gather W = J R P R^T J^T, and add what the fingers yield along the closing axis: h / c a a^T."""
+    i, a = wp.tid()
+    w = world_of(rows, i)
+    if w < 0:
+        return
+    if a == 0:
+        is_stale_out[w] = 0
+        assembled_step_out[w] = step_length
+    if a >= contacts.count[w]:
+        return
+    for b in range(a, contacts.count[w]):
+        block = compliance_block(compliance, contacts, rotation, w, a, b)
+        if is_pad(contacts.body[w, a]) and is_pad(contacts.body[w, b]):
+            block += step_length / finger_damping[w] * wp.outer(contacts.axis[w, a], contacts.axis[w, b])
+        matrix_out[w, place_in_half(a, b, contacts.count[w])] = block

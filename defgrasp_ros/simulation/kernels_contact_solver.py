@@ -15,6 +15,7 @@ from defgrasp_ros.simulation.kernels_block_matrix import block_of_symmetric
 from defgrasp_ros.simulation.kernels_coulomb import ContactProblems
 from defgrasp_ros.simulation.kernels_interior_point import InteriorPointBuffers, interior_point
 from defgrasp_ros.simulation.kernels_newton import NewtonBuffers, newton
+from defgrasp_ros.simulation.rows import Rows, world_of
 from defgrasp_ros.simulation.types import vec3d
 
 wp.set_module_options({"enable_backward": False})
@@ -33,8 +34,9 @@ ATTEMPTS = wp.constant(RANDOM + 10)
 
 @wp.kernel
 def solve_contacts(
+    rows: Rows,
     problems: ContactProblems,
-    tolerance: wp.array[wp.float64],  # (row,): largest accepted residual [N]
+    tolerance: wp.array[wp.float64],  # (world,): largest accepted residual [N]
     newton_buffers: NewtonBuffers,
     interior_buffers: InteriorPointBuffers,
     # Out:
@@ -43,7 +45,9 @@ def solve_contacts(
 ):
     """Find the forces that obey the laws of contact. Whether they do tells the caller's own residual."""
     i = wp.tid()
-    w = problems.worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     count = problems.count[w]
     attempts_out[i] = 0
     newton_buffers.systems.solved[i] = 0
@@ -79,7 +83,7 @@ def solve_contacts(
         if attempt == INTERIOR:
             if problems.friction == wp.float64(0.0):
                 continue
-            interior_point(problems, interior_buffers, i, level, tolerance[i])
+            interior_point(problems, interior_buffers, i, level, tolerance[w])
             scale = SMALL_SCALE * mean
             for c in range(count):
                 newton_buffers.force[i, c] = interior_buffers.best[i, c]
@@ -89,10 +93,10 @@ def solve_contacts(
             for c in range(count):
                 share = wp.float64(wp.randf(generator))
                 newton_buffers.force[i, c] = vec3d(wp.float64(2.0) * level * share, wp.float64(0.0), wp.float64(0.0))
-        residual = newton(problems, newton_buffers, i, scale, shift, rounds, tolerance[i])
+        residual = newton(problems, newton_buffers, i, scale, shift, rounds, tolerance[w])
         if residual < least:
             least = residual
             for c in range(count):
                 force_out[i, c] = newton_buffers.force[i, c]
-        if least <= tolerance[i]:
+        if least <= tolerance[w]:
             return

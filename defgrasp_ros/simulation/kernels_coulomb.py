@@ -11,6 +11,7 @@ Vectors of a contact are (normal, tangential, tangential). How the laws are solv
 
 import warp as wp
 
+from defgrasp_ros.simulation.rows import Rows, world_of
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
 wp.set_module_options({"enable_backward": False})
@@ -81,32 +82,36 @@ def largest_residual(
 
 @wp.kernel
 def contact_residual(
+    rows: Rows,
     count: wp.array[int],  # (world,)
-    worlds: wp.array[int],  # (row,)
     friction: wp.float64,
     rho: wp.array[wp.float64],  # (world,) [m/N]
     force: wp.array2d[vec3d],  # (row, contact) [N]
     motion: wp.array2d[vec3d],  # (row, contact) [m]
-    residual_out: wp.array[wp.float64],  # (row,) [N]
+    residual_out: wp.array[wp.float64],  # (world,) [N]
 ):
     """Largest distance of a contact from its law."""
     i = wp.tid()
-    w = worlds[i]
-    residual_out[i] = largest_residual(force, motion, i, count[w], rho[w], friction)
+    w = world_of(rows, i)
+    if w < 0:
+        return
+    residual_out[w] = largest_residual(force, motion, i, count[w], rho[w], friction)
 
 
 @wp.kernel
 def estimate_rho(
+    rows: Rows,
     count: wp.array[int],  # (world,)
     nodes: wp.array2d[wp.vec3i],  # (world, contact)
     weights: wp.array2d[vec3d],  # (world, contact)
     elastic: wp.array[wp.float64],  # (node,) [m/N]
-    worlds: wp.array[int],  # (row,)
     rho_out: wp.array[wp.float64],  # (world,) [m/N]
 ):
     """Scale of the natural map: a fraction of the mean elastic self-compliance of a world's contact points."""
     i = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     total = wp.float64(0.0)
     for c in range(count[w]):
         for k in range(3):

@@ -37,6 +37,7 @@ from defgrasp_ros.simulation.kernels_faces import (
     to_face,
 )
 from defgrasp_ros.simulation.kernels_gap import edge_point, triangle_point
+from defgrasp_ros.simulation.rows import Rows, world_of
 from defgrasp_ros.simulation.types import vec2d, vec3d
 
 wp.set_module_options({"enable_backward": False})
@@ -163,10 +164,12 @@ def place_bits(scene: Scene, body: int, p: vec3d) -> int:
 
 
 @wp.kernel
-def look_at_nodes(scene: Scene, worlds: wp.array[int]):
+def look_at_nodes(rows: Rows, scene: Scene):
     """Outward normal of each surface node, the area-weighted mean of its triangles, and where it lies."""
     i, s = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     n = scene.surface.nodes[s]
     total = vec3d()
     for k in range(scene.surface.incidence_start[n], scene.surface.incidence_start[n + 1]):
@@ -203,10 +206,12 @@ def feature_count(surface: Surface) -> int:
 
 
 @wp.kernel
-def screen_features(scene: Scene, worlds: wp.array[int], near_out: wp.array3d[wp.uint64]):
+def screen_features(rows: Rows, scene: Scene, near_out: wp.array3d[wp.uint64]):
     """Set the bits of the features that can touch a body; output (row, body, chunk)."""
     i, chunk = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     for body in range(wp.static(BODY_COUNT)):
         near_out[i, body, chunk] = wp.uint64(0)
     for k in range(wp.static(CHUNK)):
@@ -460,16 +465,19 @@ def propose_triangle(
 
 @wp.kernel
 def propose_contacts(
+    rows: Rows,
     scene: Scene,
     near: wp.array3d[wp.uint64],  # (row, body, chunk)
-    worlds: wp.array[int],  # (row,)
     # Out:
     proposed: ContactList,  # row: body + BODY_COUNT * row of worlds
     gap_out: wp.array2d[wp.float64],  # along the normal of the face [m]
+    longest: wp.array[int],  # (1,): room that a list has ever needed
 ):
     """List the candidates of each world and body nearer than the margin, in ascending order of their keys."""
     i, body = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     row = wp.static(BODY_COUNT) * i + body
     node_count = scene.surface.nodes.shape[0]
     edge_count = scene.surface.edges.shape[0]
@@ -492,3 +500,4 @@ def propose_contacts(
             bits = bits >> wp.uint64(1)
             k += 1
     proposed.count[row] = count
+    wp.atomic_max(longest, 0, count)

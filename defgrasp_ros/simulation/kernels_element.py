@@ -17,6 +17,7 @@ from functools import cache
 import warp as wp
 
 from defgrasp_ros.simulation.reference_element import REFERENCE_ELEMENTS
+from defgrasp_ros.simulation.rows import Rows, world_of
 from defgrasp_ros.simulation.types import mat33d, mat43d, vec2d, vec3d, vec6d
 
 wp.set_module_options({"enable_backward": False})
@@ -211,22 +212,25 @@ def element_kernels(order: int) -> ElementKernels:
 
     @wp.kernel(module="unique", enable_backward=False)
     def element_forces(
+        rows: Rows,
         # Model:
         elements: wp.array2d[int],  # (tet, node of the element)
         gradients: wp.array[mat43d],  # (tet,) of the barycentric coordinates [1/m]
         volumes: wp.array[wp.float64],  # (tet,) [m^3]
         lame: vec2d,  # lambda, mu [Pa]
         # State in:
-        worlds: wp.array[int],  # (row,)
         displacement: wp.array2d[vec3d],  # (world, node) [m]
         # Out:
-        rotation_out: wp.array2d[mat33d],  # (row, tet), mean over the points
-        force_out: wp.array2d[vec3d],  # (row, tet x node of the element) [N]
+        rotation_out: wp.array2d[mat33d],  # (world, tet), mean over the points
+        force_out: wp.array2d[vec3d],  # (world, tet x node of the element) [N]
     ):
         """Mean rotation and elastic nodal forces of each element."""
         i, t = wp.tid()
+        w = world_of(rows, i)
+        if w < 0:
+            return
         g = gradients[t]
-        u = displacements(elements, displacement, worlds[i], t)
+        u = displacements(elements, displacement, w, t)
         volume = wp.float64(wp.static(share)) * volumes[t]
         rotation = mat33d()
         force = nodal()
@@ -239,51 +243,56 @@ def element_kernels(order: int) -> ElementKernels:
                 for a in range(wp.static(nodes)):
                     if wp.static(table[q][a][b] != 0.0):
                         force[a] += wp.float64(wp.static(table[q][a][b])) * pull
-        rotation_out[i, t] = rotation
+        rotation_out[w, t] = rotation
         for a in range(wp.static(nodes)):
-            force_out[i, wp.static(nodes) * t + a] = force[a]
+            force_out[w, wp.static(nodes) * t + a] = force[a]
 
     @wp.kernel(module="unique", enable_backward=False)
     def element_stresses(
+        rows: Rows,
         # Model:
         elements: wp.array2d[int],  # (tet, node of the element)
         gradients: wp.array[mat43d],  # (tet,) of the barycentric coordinates [1/m]
         lame: vec2d,  # lambda, mu [Pa]
         # State in:
-        worlds: wp.array[int],  # (row,)
         displacement: wp.array2d[vec3d],  # (world, node) [m]
         # Out:
-        stress_out: wp.array2d[mat33d],  # (row, tet x point) [Pa], in the point's rotated frame
-        energy_density_out: wp.array2d[wp.float64],  # (row, tet) [J/m^3], mean of sigma : S / 2
+        stress_out: wp.array2d[mat33d],  # (world, tet x point) [Pa], in the point's rotated frame
+        energy_density_out: wp.array2d[wp.float64],  # (world, tet) [J/m^3], mean of sigma : S / 2
     ):
         """Stress at each quadrature point and strain energy density of each element."""
         i, t = wp.tid()
-        u = displacements(elements, displacement, worlds[i], t)
+        w = world_of(rows, i)
+        if w < 0:
+            return
+        u = displacements(elements, displacement, w, t)
         density = wp.float64(0.0)
         for q in range(wp.static(points)):
             _rotation, strain = polar_strain(wp.static(gradients_at[q])(u, gradients[t]))
             stress = hooke_stress(strain, lame)
             density += wp.float64(wp.static(0.5 * share)) * wp.ddot(stress, strain)
-            stress_out[i, wp.static(points) * t + q] = stress
-        energy_density_out[i, t] = density
+            stress_out[w, wp.static(points) * t + q] = stress
+        energy_density_out[w, t] = density
 
     @wp.kernel(module="unique", enable_backward=False)
     def element_inversions(
+        rows: Rows,
         # Model:
         elements: wp.array2d[int],  # (tet, node of the element)
         gradients: wp.array[mat43d],  # (tet,) of the barycentric coordinates [1/m]
         volumes: wp.array[wp.float64],  # (tet,) [m^3]
         # State in:
-        worlds: wp.array[int],  # (row,)
         displacement: wp.array2d[vec3d],  # (world, node) [m]
         # Out:
-        volume_out: wp.array[wp.float64],  # (row,) [m^3]
+        volume_out: wp.array[wp.float64],  # (world,) [m^3]
     ):
         """Volume of the elements that are turned inside out at one of their points."""
-        i = wp.tid()
+        w = world_of(rows, wp.tid())
+        if w < 0:
+            return
         total = wp.float64(0.0)
         for t in range(elements.shape[0]):
-            u = displacements(elements, displacement, worlds[i], t)
+            u = displacements(elements, displacement, w, t)
             inverted = int(0)
             for q in range(wp.static(points)):
                 f = wp.identity(n=3, dtype=wp.float64) + wp.static(gradients_at[q])(u, gradients[t])
@@ -291,6 +300,6 @@ def element_kernels(order: int) -> ElementKernels:
                     inverted = 1
             if inverted == 1:
                 total += volumes[t]
-        volume_out[i] = total
+        volume_out[w] = total
 
     return ElementKernels(element_forces, element_stresses, element_inversions)

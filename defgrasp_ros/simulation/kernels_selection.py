@@ -10,6 +10,7 @@ import warp as wp
 from defgrasp_ros.simulation.kernels_contact import ContactList, copy_contact, interpolate, interpolate_rest
 from defgrasp_ros.simulation.kernels_detection import LOADED_FIRST, SAME_POINT, Scene, preference, touch, weight_of
 from defgrasp_ros.simulation.kernels_faces import BODY_COUNT, to_face
+from defgrasp_ros.simulation.rows import Rows, world_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -45,8 +46,8 @@ def is_taken(contacts: ContactList, owned: wp.array2d[int], row: int, count: int
 
 @wp.kernel
 def drop_dependent(
+    rows: Rows,
     scene: Scene,
-    worlds: wp.array[int],  # (row,)
     # In and out:
     proposed: ContactList,  # row: body + BODY_COUNT * row of worlds
     gaps: wp.array2d[wp.float64],  # along the normal of the face [m]
@@ -58,7 +59,9 @@ def drop_dependent(
     Points that carry force stay in any case.
     """
     i, body = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     row = wp.static(BODY_COUNT) * i + body
     count = wp.min(proposed.count[row], proposed.key.shape[1])
     for c in range(count):
@@ -92,16 +95,19 @@ def drop_dependent(
 
 @wp.kernel
 def join_bodies(
+    rows: Rows,
     proposed: ContactList,
     proposed_gap: wp.array2d[wp.float64],
-    worlds: wp.array[int],  # (row,)
     # Out:
     found: ContactList,
     gap_out: wp.array2d[wp.float64],  # (world, contact): along the normal of the face [m]
+    longest: wp.array[int],  # (1,): room that a list has ever needed
 ):
-    """Put the candidates of all bodies of a world into one list; a count above the capacity tells to grow."""
+    """Put the candidates of all bodies of a world into one list; what does not fit is left out."""
     i = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     count = int(0)
     for body in range(wp.static(BODY_COUNT)):
         row = wp.static(BODY_COUNT) * i + body
@@ -111,27 +117,27 @@ def join_bodies(
                     copy_contact(proposed, row, k, found, w, count)
                     gap_out[w, count] = proposed_gap[row, k]
                 count += 1
-    found.count[w] = count
+    found.count[w] = wp.min(count, found.key.shape[1])
+    wp.atomic_max(longest, 0, count)
 
 
 @wp.kernel
 def carry_forces(
+    rows: Rows,
     scene: Scene,
-    worlds: wp.array[int],  # (row,)
     former: ContactList,
-    found_gap: wp.array2d[wp.float64],  # (world, contact): along the normal of the face [m]
     # In and out:
     found: ContactList,
     # Out:
     compliance_is_stale: wp.array[int],  # (world,): set where the points changed
-    missing_out: wp.array[int],  # (row,): unlisted points inside a body
 ):
     """Give points found again their force and their place in the material; both lists are sorted by key."""
     i = wp.tid()
-    w = worlds[i]
+    w = world_of(rows, i)
+    if w < 0:
+        return
     k = int(0)
     same = int(0)
-    missing = int(0)
     for c in range(found.count[w]):
         while k < former.count[w] and former.key[w, k] < found.key[w, c]:
             k += 1
@@ -149,8 +155,34 @@ def carry_forces(
                 touch(scene, w, body, x, to_face(scene.bodies, w, body, x), found, w, c)
                 if wp.max(wp.abs(found.axis[w, c] - former.axis[w, k])) < KEPT_TILT:
                     same += 1
-        elif found_gap[w, c] < wp.float64(0.0):
-            missing += 1
     if same != found.count[w] or found.count[w] != former.count[w]:
         compliance_is_stale[w] = 1
-    missing_out[i] = missing
+
+
+@wp.kernel
+def count_missing(
+    rows: Rows,
+    listed: ContactList,
+    found: ContactList,
+    found_gap: wp.array2d[wp.float64],  # (world, contact): along the normal of the face [m]
+    # Out:
+    missing_out: wp.array[int],  # (world,): unlisted points inside a body
+    longest: wp.array[int],  # (1,): room that a list has ever needed
+):
+    """Count what would be added to the list of a world; both lists are sorted by key."""
+    w = world_of(rows, wp.tid())
+    if w < 0:
+        return
+    k = int(0)
+    unlisted = int(0)
+    missing = int(0)
+    for c in range(found.count[w]):
+        while k < listed.count[w] and listed.key[w, k] < found.key[w, c]:
+            k += 1
+        if k == listed.count[w] or listed.key[w, k] != found.key[w, c]:
+            unlisted += 1
+            if found_gap[w, c] < wp.float64(0.0):
+                missing += 1
+    missing_out[w] = missing
+    if missing > 0:
+        wp.atomic_max(longest, 0, listed.count[w] + unlisted)

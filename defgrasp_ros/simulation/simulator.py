@@ -22,10 +22,12 @@ from defgrasp_ros.simulation import kernels_faces as faces
 from defgrasp_ros.simulation.contact_forces import ContactForces
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.kernels_element import element_kernels
+from defgrasp_ros.simulation.kernels_progress import TOLERANCE
 from defgrasp_ros.simulation.rest_system import RestSystem
+from defgrasp_ros.simulation.rows import RowList, Rows
 from defgrasp_ros.simulation.shard import Shard, WorldSnapshot
 from defgrasp_ros.simulation.shared_compliance import ComplianceCache
-from defgrasp_ros.simulation.stepper import TOLERANCE, StepReport
+from defgrasp_ros.simulation.stepper import StepReport
 from defgrasp_ros.simulation.types import mat33d, vec3d
 from defgrasp_ros.simulation.world_state import set_entries
 
@@ -259,7 +261,8 @@ class Simulator:
         model, count = self._constants, len(worlds)
         stress = wp.zeros((count, model.tet_count * model.point_count), dtype=mat33d, device=self._device)
         density = wp.zeros((count, model.tet_count), dtype=wp.float64, device=self._device)
-        inputs = [model.elements, model.gradients, model.lame, *self._displacement_rows(worlds)]
+        rows, displacement = self._displacement_rows(worlds)
+        inputs = [rows, model.elements, model.gradients, model.lame, displacement]
         wp.launch(
             model.kernels.stresses, dim=density.shape, inputs=inputs, outputs=[stress, density], device=self._device
         )
@@ -269,9 +272,10 @@ class Simulator:
     def elastic_forces(self, worlds: np.ndarray) -> np.ndarray:
         """Elastic force on each node [N], shape ``(n, node, 3)``."""
         model, count = self._constants, len(worlds)
+        rows, displacement = self._displacement_rows(worlds)
         rotation = wp.zeros((count, model.tet_count), dtype=mat33d, device=self._device)
         force = wp.zeros((count, model.entry_count), dtype=vec3d, device=self._device)
-        inputs = [model.elements, model.gradients, model.volumes, model.lame, *self._displacement_rows(worlds)]
+        inputs = [rows, model.elements, model.gradients, model.volumes, model.lame, displacement]
         wp.launch(
             model.kernels.forces, dim=rotation.shape, inputs=inputs, outputs=[rotation, force], device=self._device
         )
@@ -280,10 +284,10 @@ class Simulator:
             np.add.at(total[row], self.model.mesh.elements.ravel(), entries)
         return total
 
-    def _displacement_rows(self, worlds: np.ndarray) -> tuple[wp.array, wp.array]:
+    def _displacement_rows(self, worlds: np.ndarray) -> tuple[Rows, wp.array]:
         """Rows and displacements of some worlds for the element kernels."""
         displacement = self.positions(worlds) - self.model.mesh.vertices
-        return self._rows(np.arange(len(worlds))), wp.array(displacement, dtype=vec3d, device=self._device)
+        return self._rows(np.arange(len(worlds))).device, wp.array(displacement, dtype=vec3d, device=self._device)
 
     def normal_forces(self, worlds: np.ndarray) -> np.ndarray:
         """Force of left pad, right pad, platform and palm along their faces' normals [N], shape ``(n, 4)``.
@@ -302,8 +306,8 @@ class Simulator:
                 result[place] = shard.contacts.loaded(entry, nodes, threshold)
         return [result[place] for place in range(len(worlds))]
 
-    def _rows(self, entries: np.ndarray) -> wp.array:
-        return wp.array(entries, dtype=int, device=self._device)
+    def _rows(self, entries: np.ndarray) -> RowList:
+        return RowList(len(entries), self._device).assign(entries)
 
 
 def find_device(name: str) -> wp.Device:

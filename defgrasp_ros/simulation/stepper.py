@@ -18,39 +18,34 @@ the nodes and that of the contacts, are below ``TOLERANCE`` of the world's force
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import warp as wp
 
 from defgrasp_ros.simulation import kernels_contact as contact
 from defgrasp_ros.simulation import kernels_elasticity as elastic
-from defgrasp_ros.simulation.anderson import DEPTH, Anderson
+from defgrasp_ros.simulation.anderson import Anderson
 from defgrasp_ros.simulation.contact_set import ContactSet
 from defgrasp_ros.simulation.dense import multiply_rows
 from defgrasp_ros.simulation.device_model import DeviceModel
+from defgrasp_ros.simulation.kernels_progress import (
+    CONVERGED,
+    FAILED,
+    RUNNING,
+    SOLVED,
+    begin_step,
+    decide,
+    judge,
+    new_progress,
+)
+from defgrasp_ros.simulation.rows import Launcher, RowList
 from defgrasp_ros.simulation.shared_compliance import SharedCompliance
 from defgrasp_ros.simulation.types import mat33d, vec3d
-from defgrasp_ros.simulation.world_state import WorldState, clear_rows, set_entries
+from defgrasp_ros.simulation.world_state import WorldState, set_entries
 
-wp.set_module_options({"enable_backward": False})
-
-TOLERANCE = 1e-6
-"""Largest residual of a solved step, relative to the force scale [-]."""
-CONTACT_TOLERANCE = 2e-7
-"""The same for the contact problem inside an iteration [-]."""
-CONTACT_REDUCTION = 1e-3
-"""Early iterations need no better contact forces than this fraction of their residual [-]."""
-MAX_ITERATIONS = 40
-"""Iterations after which a step is given up; all counts begin anew where overlooked contacts were found."""
-MAX_STALLED = 8
-"""Iterations in a row that do not reduce the residual after which a step is given up."""
-RESTART_GROWTH = 2.0
-"""Growth of the residual in an iteration at which the acceleration starts anew [-], unless it has just begun: where the
-plain iteration diverges, it must be let go on until it knows the modes that grow."""
 MAX_INVERTED_SHARE = 1e-3
 """Part of a body's volume that may be turned inside out [-]: a sliver or two of the mesh hold next to nothing."""
-MAX_SEARCHES = 5
-"""How often a solved step may find contacts that it overlooked before it counts as failed."""
 
 
 @dataclass
@@ -106,20 +101,27 @@ class Stepper:
         self._state = state
         self._contacts = contacts
         self._device = device
+        self._launch = Launcher(device)
 
         def zeros(columns: int, dtype) -> wp.array:
             return wp.zeros((world_count, columns), dtype=dtype, device=device)
 
         self._element_rotation = zeros(model.tet_count, mat33d)
         self._element_force = zeros(model.entry_count, vec3d)
-        self._node_rotation = zeros(model.node_count, mat33d)
-        self._start_rotation = zeros(model.node_count, mat33d)
-        self._residual, self._correction, self._turned, self._product = (
-            zeros(model.node_count, vec3d) for _ in range(4)
+        self._node_rotation, self._start_rotation = (zeros(model.node_count, mat33d) for _ in range(2))
+        self._residual, self._correction, self._before = (zeros(model.node_count, vec3d) for _ in range(3))
+        self._turned, self._product = (zeros(3 * model.node_count, wp.float64) for _ in range(2))
+        self._turned_vectors, self._product_vectors = (
+            wp.array(ptr=a.ptr, dtype=vec3d, shape=(world_count, model.node_count), device=device)
+            for a in (self._turned, self._product)
         )
-        self._before = zeros(model.node_count, vec3d)
+        self._inverted = wp.zeros(world_count, dtype=wp.float64, device=device)
         self._anderson = Anderson(world_count, model.node_count, contacts.capacity, device)
-        self._norm = wp.zeros(world_count, dtype=wp.float64, device=device)
+        self._progress = new_progress(world_count, device)
+        self._stepped, self._active, self._solved, self._converged, self._failed = (
+            RowList(world_count, device) for _ in range(5)
+        )
+        self._graphs: WeakKeyDictionary[SharedCompliance, dict[bool, wp.Graph]] = WeakKeyDictionary()
 
     def step(
         self, worlds: np.ndarray, shared: SharedCompliance, force_scale: np.ndarray, *, quasi_static: bool
@@ -132,209 +134,176 @@ class Stepper:
             force_scale: Force to which residuals are compared [N], shape ``(n,)``.
             quasi_static: Whether the velocity is forgotten after the step.
         """
-        state, contacts, h = self._state, self._contacts, shared.step_length
-        count = len(worlds)
-        report = StepReport.empty(count)
-        contacts.expect_step(worlds, h)
-        rows = self._rows(worlds)
-        contacts.remember(rows)
-        wp.copy(self._start_rotation, state.rotation)
+        self._stepped.assign(worlds)
+        set_entries(self._progress.force_scale, worlds, force_scale)
+        self._remember(shared)
+        while True:
+            self._follow_growth()
+            self._run(shared, quasi_static)
+            report, room = self._read_report(worlds)
+            if room <= self._contacts.capacity:
+                return report
+            self._begin_anew(room)
+
+    def _run(self, shared: SharedCompliance, quasi_static: bool) -> None:
+        """Try the step; where the host stays out of it, as one graph."""
+        if not (self._stepped.stays_on_device and can_be_captured(self._device)):
+            self._try_step(shared, quasi_static)
+            return
+        graphs = self._graphs.setdefault(shared, {})
+        if quasi_static not in graphs:
+            with wp.ScopedCapture(self._device) as capture:
+                self._try_step(shared, quasi_static)
+            graphs[quasi_static] = capture.graph
+        wp.capture_launch(graphs[quasi_static])
+
+    def _try_step(self, shared: SharedCompliance, quasi_static: bool) -> None:
+        """Guess, iterate, and take over what came out; leave all as it was where contacts have found no room."""
+        self._guess(shared)
+        wp.capture_while(self._active.device.count, self._iterate, shared=shared)
+        self._accept(shared, quasi_static)
+        self._go_back()
+
+    def _iterate(self, shared: SharedCompliance) -> None:
+        """One iteration of the worlds that still go on."""
+        contacts, progress, history = self._contacts, self._progress, self._anderson.length
+        self._evaluate_residual(self._active, shared)
+        self._launch(judge, (self._active,), [self._residual, contacts.residual, progress])
+        self._select(self._active, SOLVED, self._solved)
+        if self._solved.count:
+            contacts.complete(self._solved, shared)
+        self._launch(decide, (self._active,), [contacts.missing, progress, history])
+        self._select(self._stepped, RUNNING, self._active)
+        if self._active.count:
+            self._correct(self._active, shared)
+
+    def _select(self, rows: RowList, state: int, selected: RowList) -> None:
+        """List those of some worlds that are in a state; none where contacts have found no room."""
+        selected.select(rows, self._progress.state, state, self._contacts.longest, self._contacts.capacity)
+
+    def _remember(self, shared: SharedCompliance) -> None:
+        """Keep what a step changes before it is accepted."""
+        rows, nodes = self._stepped, self._model.node_count
+        self._contacts.remember(rows, shared.step_length)
+        self._launch(elastic.copy_rotations, (rows, nodes), [self._state.rotation, self._start_rotation])
+
+    def _begin_anew(self, room: int) -> None:
+        """Make room for the contacts, and go back to where the step began."""
+        rows, nodes = self._stepped, self._model.node_count
+        self._contacts.begin_anew(rows, room)
+        self._launch(elastic.copy_rotations, (rows, nodes), [self._start_rotation, self._state.rotation])
+
+    def _follow_growth(self) -> None:
+        """Make anew what belongs to buffers of contacts that are no longer used."""
+        capacity = self._contacts.capacity
+        if self._anderson.capacity != capacity:
+            world_count, nodes = self._residual.shape
+            self._anderson = Anderson(world_count, nodes, capacity, self._device)
+            self._graphs.clear()
+
+    def _guess(self, shared: SharedCompliance) -> None:
+        """Guess where the step ends: contacts are looked for where the velocity leads, the rest follows the trends."""
+        state, contacts, rows, h = self._state, self._contacts, self._stepped, shared.step_length
         self._predict(rows, state.start_velocity, h)
-        contacts.find(rows)
+        contacts.find(rows, shared)
         contacts.extrapolate(rows, h)
         self._predict(rows, state.trend, h)
+        self._launch(begin_step, (rows,), [self._progress, self._anderson.length])
+        self._select(rows, RUNNING, self._active)
 
-        self._forget(worlds)
-        active = np.arange(count)
-        last_residual, best_residual = np.full(count, np.inf), np.full(count, np.inf)
-        stalled, spent, searches, accelerated = (np.zeros(count, dtype=int) for _ in range(4))
-        while len(active):
-            rows = self._rows(worlds[active])
-            residual = self._evaluate_residual(rows, shared) / force_scale[active]
-            report.residual[active] = residual
-            stalled[active] = np.where(residual < best_residual[active], 0, stalled[active] + 1)
-            best_residual[active] = np.fmin(best_residual[active], residual)
-            goes_on = np.isfinite(residual) & (stalled[active] <= MAX_STALLED) & (spent[active] < MAX_ITERATIONS)
-            solved = residual < TOLERANCE
-            if solved.any():
-                incomplete = self._overlooked_contacts(worlds, active, solved, searches)
-                report.converged[active[solved & ~incomplete]] = True
-                again = active[incomplete]
-                spent[again], stalled[again], best_residual[again] = 0, 0, np.inf
-                goes_on = np.where(solved, incomplete & (searches[active] <= MAX_SEARCHES), goes_on)
-            active = active[goes_on]
-            if not len(active):
-                break
-            if solved.any() or not goes_on.all():
-                rows = self._rows(worlds[active])
-                self._evaluate_residual(rows, shared)
-            grows = report.residual[active] > RESTART_GROWTH * last_residual[active]
-            restarts = active[grows & (accelerated[active] >= int(DEPTH))]
-            self._forget(worlds[restarts])
-            accelerated[restarts] = 0
-            accelerated[active] += 1
-            last_residual[active] = report.residual[active]
-            report.iterations[active] += 1
-            spent[active] += 1
-            reduction = np.maximum(CONTACT_TOLERANCE, CONTACT_REDUCTION * report.residual[active])
-            report.contact_fallbacks[active] += self._correct(rows, shared, force_scale[active] * reduction)
-
-        self._accept(worlds[report.converged], h, quasi_static)
-        report.crushed = self._are_crushed(worlds)
-        self._stand_still(worlds[report.converged & (report.iterations == 0)])
-        self._go_back(worlds[~report.converged])
-        return report
-
-    def _predict(self, rows: wp.array, velocity: wp.array, h: float) -> None:
+    def _predict(self, rows: RowList, velocity: wp.array, h: float) -> None:
         """Put the nodes where a velocity takes them, and the fingers where the contact forces do."""
-        inputs = [rows, h, self._state.start_displacement, velocity, self._state.displacement]
-        self._launch(elastic.predict, (rows.shape[0], self._model.node_count), inputs)
+        inputs = [h, self._state.start_displacement, velocity, self._state.displacement]
+        self._launch(elastic.predict, (rows, self._model.node_count), inputs)
         self._move_fingers(rows, h)
 
-    def _overlooked_contacts(
-        self, worlds: np.ndarray, active: np.ndarray, solved: np.ndarray, searches: np.ndarray
-    ) -> np.ndarray:
-        """List the points that a solved world has inside a body without knowing; return where there are any."""
-        candidates = np.flatnonzero(solved)
-        incomplete = self._contacts.complete(self._rows(worlds[active[candidates]]))
-        again = np.zeros(len(active), dtype=bool)
-        again[candidates[incomplete]] = True
-        searches[active[again]] += 1
-        self._forget(worlds[active[again]])
-        return again
-
-    def _forget(self, worlds: np.ndarray) -> None:
-        """Start the acceleration of some worlds anew."""
-        if self._contacts.capacity != self._anderson.capacity:
-            world_count = self._norm.shape[0]
-            self._anderson = Anderson(world_count, self._model.node_count, self._contacts.capacity, self._device)
-        set_entries(self._anderson.length, worlds, 0)
-
-    def _evaluate_residual(self, rows: wp.array, shared: SharedCompliance) -> np.ndarray:
-        """Leave the nodal residual in its buffer; return the worse of nodal and contact residual [N]."""
-        model, state, count = self._model, self._state, rows.shape[0]
+    def _evaluate_residual(self, rows: RowList, shared: SharedCompliance) -> None:
+        """Leave the residuals of the nodes and of the contacts in their buffers."""
+        model, state, nodes = self._model, self._state, (rows, self._model.node_count)
+        inputs = [model.elements, model.gradients, model.volumes, model.lame, state.displacement]
         self._launch(
-            model.kernels.forces,
-            (count, model.tet_count),
-            [model.elements, model.gradients, model.volumes, model.lame, rows, state.displacement],
-            [self._element_rotation, self._element_force],
+            model.kernels.forces, (rows, model.tet_count), [*inputs, self._element_rotation, self._element_force]
         )
-        nodes, acceleration = (count, model.node_count), self._product
-        self._launch(
-            elastic.missing_acceleration,
-            nodes,
-            [model.vertices, shared.step_length, rows, state.gravity, state.spin]
-            + [state.start_displacement, state.start_velocity, state.displacement],
-            [acceleration],
-        )
-        self._launch(
-            elastic.dynamic_residual,
-            nodes,
-            [model.incidence_start, model.incidence_entry, model.mass_start, model.mass_node, model.mass]
-            + [acceleration, self._element_force],
-            [self._residual],
-        )
+        inputs = [model.vertices, shared.step_length, state.gravity, state.spin]
+        motion = [state.start_displacement, state.start_velocity, state.displacement]
+        acceleration = self._correction  # of no use here
+        self._launch(elastic.missing_acceleration, nodes, [*inputs, *motion, acceleration])
+        inputs = [model.incidence_start, model.incidence_entry, model.mass_start, model.mass_node, model.mass]
+        self._launch(elastic.dynamic_residual, nodes, [*inputs, acceleration, self._element_force, self._residual])
         self._refresh_rotations(rows, shared)
-        self._contacts.refresh_compliance(rows, shared)
         self._contacts.add_forces(rows, self._residual)
-        self._launch(_row_norms, count, [self._residual], [self._norm])
-        return np.maximum(self._norm.numpy()[:count], self._contacts.residual(rows))
+        self._contacts.find_residual(rows)
 
-    def _refresh_rotations(self, rows: wp.array, shared: SharedCompliance) -> None:
+    def _refresh_rotations(self, rows: RowList, shared: SharedCompliance) -> None:
         """Follow the nodes' rotations where they have changed too much."""
-        model, state, count = self._model, self._state, rows.shape[0]
+        model, state = self._model, self._state
         inputs = [model.incidence_start, model.incidence_tet, model.volumes, self._element_rotation]
-        self._launch(elastic.nodal_rotations, (count, model.node_count), inputs, [self._node_rotation])
-        inputs = [rows, self._node_rotation, shared.rotation_tolerance]
-        self._launch(elastic.refresh_rotations, count, inputs, [state.rotation, self._contacts.stale])
+        self._launch(elastic.nodal_rotations, (rows, model.node_count), [*inputs, self._node_rotation])
+        inputs = [self._node_rotation, shared.rotation_tolerance, state.rotation, self._contacts.stale]
+        self._launch(elastic.refresh_rotations, (rows,), inputs)
 
-    def _correct(self, rows: wp.array, shared: SharedCompliance, contact_tolerance: np.ndarray) -> np.ndarray:
-        """One correction of displacement, opening and forces; return which rows had a hard contact problem."""
-        nodes, displacement = (rows.shape[0], self._model.node_count), self._state.displacement
-        lists = self._contacts.lists
-        self._launch(_take_rows, nodes, [rows, displacement], [self._before])
+    def _correct(self, rows: RowList, shared: SharedCompliance) -> None:
+        """One correction of displacement, opening and forces."""
+        state, contacts, progress, nodes = self._state, self._contacts, self._progress, (rows, self._model.node_count)
+        contacts.refresh_compliance(rows, shared)
         self._apply_compliance(rows, shared)
-        hard = self._contacts.solve(rows, self._correction, contact_tolerance)
-        self._launch(elastic.add_correction, nodes, [rows, self._correction, displacement])
-        self._residual.zero_()
-        self._contacts.add_force_change(rows, self._residual)
-        self._apply_compliance(rows, shared)
-        self._launch(elastic.add_correction, nodes, [rows, self._correction, displacement])
-        self._anderson.mix(rows, self._before, displacement, lists.count, lists.force)
-        self._move_fingers(rows, shared.step_length)
-        return hard
-
-    def _apply_compliance(self, rows: wp.array, shared: SharedCompliance) -> None:
-        """correction = R P R^T residual."""
-        nodes, rotation = (rows.shape[0], self._model.node_count), self._state.rotation
-        self._launch(elastic.rotate_back, nodes, [rows, rotation, self._residual], [self._turned])
-        turned, product = (
-            wp.array(ptr=a.ptr, dtype=wp.float64, shape=(nodes[0], 3 * nodes[1]), device=self._device)
-            for a in (self._turned, self._product)
+        self._launch(elastic.rotate, nodes, [state.rotation, self._product_vectors, self._correction])
+        contacts.solve(rows, self._correction, progress.contact_tolerance)
+        self._launch(
+            elastic.add_correction, nodes, [self._correction, state.displacement, self._before, self._residual]
         )
-        multiply_rows(turned, shared.matrix, product)
-        self._launch(elastic.rotate, nodes, [rows, rotation, self._product], [self._correction])
+        contacts.take_forces(rows, self._residual, progress.hard)
+        self._apply_compliance(rows, shared)
+        self._launch(elastic.rotate_and_add, nodes, [state.rotation, self._product_vectors, state.displacement])
+        self._anderson.mix(rows, self._before, state.displacement, contacts.lists.count, contacts.lists.force)
+        self._move_fingers(rows, shared.step_length)
 
-    def _move_fingers(self, rows: wp.array, h: float) -> None:
-        state = self._state
-        inputs = [self._contacts.lists, rows, h, state.finger_damping, state.closing_force, state.start_opening]
-        self._launch(contact.move_fingers, rows.shape[0], inputs, [state.bodies.opening])
+    def _apply_compliance(self, rows: RowList, shared: SharedCompliance) -> None:
+        """product = P R^T residual, still to be turned forth."""
+        inputs = [self._state.rotation, self._residual, self._turned_vectors]
+        self._launch(elastic.rotate_back, (rows, self._model.node_count), inputs)
+        multiply_rows(rows, self._turned, shared.matrix, self._product)
 
-    def _accept(self, worlds: np.ndarray, h: float, quasi_static: bool) -> None:
-        """The end of the step becomes the start of the next."""
-        if not len(worlds):
-            return
+    def _move_fingers(self, rows: RowList, h: float) -> None:
         state = self._state
-        rows = self._rows(worlds)
-        self._contacts.find_trends(rows, h)
-        inputs = [rows, h, 0.0 if quasi_static else 1.0, state.displacement]
+        inputs = [self._contacts.lists, h, state.finger_damping, state.closing_force, state.start_opening]
+        self._launch(contact.move_fingers, (rows,), [*inputs, state.bodies.opening])
+
+    def _accept(self, shared: SharedCompliance, quasi_static: bool) -> None:
+        """The end of the step becomes the start of the next, where there is one; look for elements inside out."""
+        model, state, rows, h = self._model, self._state, self._converged, shared.step_length
+        iterations = self._progress.iterations
+        self._select(self._stepped, CONVERGED, rows)
+        self._contacts.find_trends(rows, h, iterations)
+        inputs = [h, 0.0 if quasi_static else 1.0, iterations, state.displacement]
         motion = [state.start_displacement, state.start_velocity, state.trend]
-        self._launch(elastic.accept_step, (len(worlds), self._model.node_count), [*inputs, *motion])
-        set_entries(state.start_opening, worlds, state.bodies.opening.numpy()[worlds])
+        opening = [state.bodies.opening, state.start_opening]
+        self._launch(elastic.accept_step, (rows, model.node_count), [*inputs, *motion, *opening])
+        inputs = [model.elements, model.gradients, model.volumes, state.start_displacement, self._inverted]
+        self._launch(model.kernels.inversions, (self._stepped,), inputs)
 
-    def _stand_still(self, worlds: np.ndarray) -> None:
-        """Forget the trends of worlds that needed no iteration: nothing else would end a drift below the tolerance."""
-        rows = self._rows(worlds)
-        clear_rows(self._state.trend, rows)
-        self._contacts.forget_trends(rows)
-
-    def _are_crushed(self, worlds: np.ndarray) -> np.ndarray:
-        """Return which worlds have more than a few elements turned inside out."""
-        model, volume = self._model, wp.empty(len(worlds), dtype=wp.float64, device=self._device)
-        inputs = [model.elements, model.gradients, model.volumes, self._rows(worlds), self._state.start_displacement]
-        self._launch(model.kernels.inversions, len(worlds), inputs, [volume])
-        return volume.numpy() > MAX_INVERTED_SHARE * model.volume
-
-    def _go_back(self, worlds: np.ndarray) -> None:
+    def _go_back(self) -> None:
         """Leave no trace of a step that failed."""
-        if not len(worlds):
-            return
-        state = self._state
-        rows = self._rows(worlds)
+        state, rows = self._state, self._failed
+        self._select(self._stepped, FAILED, rows)
         self._contacts.go_back(rows)
-        clear_rows(state.trend, rows)
-        set_entries(state.rotation, worlds, self._start_rotation.numpy()[worlds])
-        set_entries(state.bodies.opening, worlds, state.start_opening.numpy()[worlds])
+        inputs = [self._start_rotation, state.start_opening, state.rotation, state.bodies.opening, state.trend]
+        self._launch(elastic.take_back_step, (rows, self._model.node_count), inputs)
 
-    def _rows(self, worlds: np.ndarray) -> wp.array:
-        return wp.array(worlds, dtype=int, device=self._device)
+    def _read_report(self, worlds: np.ndarray) -> tuple[StepReport, int]:
+        """Return the report, and how much room the contacts need; void if they do not have it."""
+        progress = self._progress
+        report = StepReport(
+            converged=progress.state.numpy()[worlds] == CONVERGED,
+            iterations=progress.iterations.numpy()[worlds].astype(int),
+            residual=progress.residual.numpy()[worlds],
+            cuts=np.zeros(len(worlds), dtype=int),
+            contact_fallbacks=progress.hard.numpy()[worlds].astype(int),
+            crushed=self._inverted.numpy()[worlds] > MAX_INVERTED_SHARE * self._model.volume,
+        )
+        return report, int(self._contacts.longest.numpy()[0])
 
-    def _launch(self, kernel, dim, inputs: list, outputs: list | None = None) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self._device)
 
-
-@wp.kernel
-def _take_rows(worlds: wp.array[int], field: wp.array2d[vec3d], rows_out: wp.array2d[vec3d]):
-    """Copy a nodal field of some worlds (world, node) into a work buffer (row, node)."""
-    i, n = wp.tid()
-    rows_out[i, n] = field[worlds[i], n]
-
-
-@wp.kernel
-def _row_norms(vector: wp.array2d[vec3d], norm_out: wp.array[wp.float64]):
-    """Euclidean norm of each row."""
-    i = wp.tid()
-    total = wp.float64(0.0)
-    for n in range(vector.shape[1]):
-        total += wp.dot(vector[i, n], vector[i, n])
-    norm_out[i] = wp.sqrt(total)
+def can_be_captured(device: wp.Device) -> bool:
+    """Whether a loop can be part of a graph on a device."""
+    return device.is_cpu or wp.is_conditional_graph_supported()

@@ -90,14 +90,3 @@ def set_entries(array: wp.array, index, values) -> None:
     host[index] = values
     if array.device.is_cuda:
         array.assign(host)
-
-
-def clear_rows(array: wp.array, rows: wp.array) -> None:
-    """Set some rows of an array (row, n) of vectors on the device to zero."""
-    wp.launch(_clear_rows, dim=(rows.shape[0], array.shape[1]), inputs=[rows, array], device=array.device)
-
-
-@wp.kernel
-def _clear_rows(rows: wp.array[int], array: wp.array2d[vec3d]):
-    i, n = wp.tid()
-    array[rows[i], n] = vec3d()

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from defgrasp_ros.material import Material
-from defgrasp_ros.simulation.stepper import TOLERANCE
+from defgrasp_ros.simulation.kernels_progress import TOLERANCE
 from defgrasp_ros.validation.bodies import block
 from defgrasp_ros.validation.case import Case, Experiment, vanishing
 from defgrasp_ros.validation.rigs import ALONG_Y, WORLD, Rig, square_pads

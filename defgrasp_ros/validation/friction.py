@@ -11,7 +11,7 @@ import numpy as np
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.material import Material
 from defgrasp_ros.object_model import STANDARD_GRAVITY
-from defgrasp_ros.simulation.stepper import TOLERANCE
+from defgrasp_ros.simulation.kernels_progress import TOLERANCE
 from defgrasp_ros.validation.bodies import block
 from defgrasp_ros.validation.case import Case, Experiment, relative, vanishing
 from defgrasp_ros.validation.rigs import ALONG_Y, Rig, rectangular_pads

@@ -8,7 +8,7 @@ import numpy as np
 
 from defgrasp_ros.grasp import Grasp
 from defgrasp_ros.material import Material
-from defgrasp_ros.simulation.stepper import TOLERANCE
+from defgrasp_ros.simulation.kernels_progress import TOLERANCE
 from defgrasp_ros.validation.bodies import block
 from defgrasp_ros.validation.case import Case, Experiment, vanishing
 from defgrasp_ros.validation.rigs import Rig, square_pads
