@@ -11,8 +11,11 @@ state, turned by the nodal rotations R:
     u <- u + y + R P R^T J^T (lambda' - lambda).
 
 Anderson acceleration mixes it with the iterates before (:mod:`anderson`). The fixed point satisfies the equations above
-whatever P is. A step counts as solved when both residuals, that of
-the nodes and that of the contacts, are below ``TOLERANCE`` of the world's force scale.
+whatever P is. A step counts as solved when both residuals, that of the nodes and that of the contacts, are below a
+tolerance of the world's force scale.
+
+Kernels judge that (``kernels_progress``), so that the host need not look at the device before the step is over: on CUDA
+the whole step is one graph.
 """
 
 from __future__ import annotations
@@ -87,7 +90,7 @@ class StepReport:
 
 
 class Stepper:
-    """Work buffers and the iteration."""
+    """Work buffers of some worlds, and how they are stepped."""
 
     def __init__(
         self,
