@@ -1,5 +1,8 @@
 """Contact, friction and the step, on blocks with known answers."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -229,3 +232,41 @@ def test_a_crushed_block_is_marked(order, load, crushed):
             break
         assert report.usable.all()
     assert report.crushed.all() == crushed and report.usable.all() != crushed
+
+
+LOADED_BY_THREADS = """
+import dataclasses, threading
+import numpy as np
+import warp as wp
+from warp._src.context import Module
+from defgrasp_ros.material import Material
+from defgrasp_ros.mesh.shapes import box
+from defgrasp_ros.object_model import ObjectModel
+from defgrasp_ros.simulation.simulator import Simulator
+from test_simulator import GRIPPER
+
+wp.config.quiet = True
+load = Module.load
+
+def watched_load(self, *arguments, **options):
+    known = len(self.execs)
+    result = load(self, *arguments, **options)
+    if len(self.execs) != known and threading.current_thread() is not threading.main_thread():
+        print(self.name)
+    return result
+
+Module.load = watched_load
+for order in (1, 2):
+    mesh = dataclasses.replace(box((0.02, 0.02, 0.02), (1, 1, 1)), element_order=order)
+    simulator = Simulator(ObjectModel("cube", mesh, Material()), GRIPPER, 2)
+    simulator.step(np.arange(2), 0.005, np.zeros(2), np.full(2, -0.01), quasi_static=False)
+"""
+
+
+def test_threads_find_all_kernels_loaded():
+    """A thread loads none itself: of two that do so at once, one would be left without its code."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    run = subprocess.run(
+        [sys.executable, "-c", LOADED_BY_THREADS], env=environment, capture_output=True, text=True, check=True
+    )
+    assert run.stdout == ""

@@ -30,7 +30,6 @@ class DeviceModel:
         self.point_count = REFERENCE_ELEMENTS[mesh.element_order].point_count
         """Quadrature points of an element."""
         self.kernels = element_kernels(mesh.element_order)
-        self.kernels.load(device)
         self.friction = model.material.friction_coefficient
         self.lame = vec2d(*model.material.lame_parameters)
         self.mean_edge = float(np.linalg.norm(np.diff(mesh.vertices[mesh.surface_edges], axis=1), axis=-1).mean())

@@ -171,9 +171,9 @@ class ElementKernels:
     inversions: wp.Kernel
 
     def load(self, device: wp.Device) -> None:
-        """Compile them now: threads that launch a kernel for the first time at once would all compile it."""
+        """Load them, as the threads will launch them."""
         for kernel in (self.forces, self.stresses, self.inversions):
-            kernel.module.load(device)
+            wp.load_module(kernel.module, device=device)
 
 
 @cache

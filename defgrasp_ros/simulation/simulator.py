@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
 
 import numpy as np
 import warp as wp
@@ -23,6 +24,7 @@ from defgrasp_ros.simulation.contact_forces import ContactForces
 from defgrasp_ros.simulation.device_model import DeviceModel
 from defgrasp_ros.simulation.kernels_element import element_kernels
 from defgrasp_ros.simulation.kernels_progress import TOLERANCE
+from defgrasp_ros.simulation.reference_element import REFERENCE_ELEMENTS
 from defgrasp_ros.simulation.rest_system import RestSystem
 from defgrasp_ros.simulation.rows import RowList, Rows
 from defgrasp_ros.simulation.shard import Shard, WorldSnapshot
@@ -30,6 +32,9 @@ from defgrasp_ros.simulation.shared_compliance import ComplianceCache
 from defgrasp_ros.simulation.stepper import StepReport
 from defgrasp_ros.simulation.types import mat33d, vec3d
 from defgrasp_ros.simulation.world_state import set_entries
+
+_loading = Lock()
+"""Held while kernels are loaded."""
 
 
 class Simulator:
@@ -54,7 +59,7 @@ class Simulator:
         self.gripper = gripper
         self.world_count = world_count
         self._device = find_device(device)
-        wp.load_module(__package__, device=self._device, recursive=True)
+        load_kernels(self._device, model.mesh.element_order)
         rest = RestSystem(model)
         self._constants = DeviceModel(model, gripper, rest.mass, self._device)
         compliances = ComplianceCache(rest, self._device)
@@ -331,11 +336,22 @@ def device_names() -> list[str]:
 
 
 def prepare_device(name: str) -> None:
-    """Compile, or load, all that a simulation with tetrahedra of four nodes runs on a device.
+    """Compile, or load, all that a simulation runs on a device.
 
     Raises:
         NotFoundError: If the machine has no device of that name.
     """
     device = find_device(name)
-    wp.load_module(__package__, device=device, recursive=True)
-    element_kernels(1).load(device)
+    for element_order in REFERENCE_ELEMENTS:
+        load_kernels(device, element_order)
+
+
+def load_kernels(device: wp.Device, element_order: int) -> None:
+    """Compile, or load, all that a simulation with such elements runs on a device.
+
+    Warp loads modules without a lock. Two threads that launch the first kernel of a module at once would each load it,
+    and what one of them has recorded would point to code that is gone. So nothing may be left for them to load.
+    """
+    with _loading:
+        wp.load_module(__package__, device=device, recursive=True)
+        element_kernels(element_order).load(device)
