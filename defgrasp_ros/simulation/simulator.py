@@ -216,7 +216,7 @@ class Simulator:
         parts = list(self._parts(worlds))
         # BLAS threads of their own would fight with the shards' threads, and with whatever else runs.
         with self._blas.limit(limits=1, user_api="blas"):
-            reports = list(self._threads.map(advance, parts))
+            reports = [advance(parts[0])] if len(parts) == 1 else list(self._threads.map(advance, parts))
         report = StepReport.empty(len(worlds))
         for part, (_, _, places) in zip(reports, parts, strict=True):
             report.put(places, part)
