@@ -15,7 +15,7 @@ from defgrasp_ros.experiments.candidate import Candidate, spoken
 from defgrasp_ros.experiments.collision import colliding_part
 from defgrasp_ros.experiments.features import grasp_features
 from defgrasp_ros.experiments.metrics import centre_of_mass, deformation
-from defgrasp_ros.experiments.rest import STILL_CHANGE, RestWatch, largest_motion
+from defgrasp_ros.experiments.rest import LONG_STEP, STILL_CHANGE, RestWatch, largest_motion
 from defgrasp_ros.experiments.settling import deformed_state
 from defgrasp_ros.simulation.kernels_faces import PALM, PLATFORM
 
@@ -37,7 +37,7 @@ REST_TIME = 0.1
 """How long it must be so slow; a swing that turns round is slow for a moment only [s]."""
 REST_STEPS = 400
 """Largest number of quasi-static steps in which a held object comes to rest."""
-LONG_STEP = 4
+SLOW_STEP = 4
 """Time steps in one of a hanging object that moves slowly."""
 SLOW_MOTION = 1e-2
 """Motion in a long step, relative to the object's size, that counts as slow [-]."""
@@ -165,10 +165,10 @@ class Pickup:
             candidate.lowering_began = candidate.time
         while len(self.running) and not self.batch.interrupted():
             speed = min(speed + PLATFORM_ACCELERATION * h, self.options.platform_speed)
-            # Calm worlds take one long step when the others take the first of LONG_STEP short ones.
+            # Calm worlds take one long step when the others take the first of SLOW_STEP short ones.
             groups = [(self.running[~calm[self.running]], h)]
-            if tick % LONG_STEP == 0:
-                groups.append((self.running[calm[self.running]], LONG_STEP * h))
+            if tick % SLOW_STEP == 0:
+                groups.append((self.running[calm[self.running]], SLOW_STEP * h))
             for worlds, step_length in groups:
                 if len(worlds):
                     held += self._hold_step(worlds, step_length, speed, (tick + 1) * h)
@@ -180,8 +180,8 @@ class Pickup:
             self.batch.sample(self.running, self.batch.targets(self.running))
             self.running = np.setdiff1d(self.running, held)
             self._drop_finished()
-            if tick % LONG_STEP == 0 and len(self.running):
-                motion = LONG_STEP * h * self._fastest(self.running)
+            if tick % SLOW_STEP == 0 and len(self.running):
+                motion = SLOW_STEP * h * self._fastest(self.running)
                 lifted = np.array([self.batch.candidates[w].holding_time > 0.0 for w in self.running])
                 calm[self.running] = lifted & (motion < SLOW_MOTION * size)
         return np.array(held, dtype=int)
