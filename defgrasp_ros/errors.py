@@ -87,6 +87,10 @@ class TetrahedralizationError(InvalidMeshError):
     code = ResultCode.TETRAHEDRALIZATION_FAILED
 
 
+class MeshingTimeoutError(TetrahedralizationError):
+    """The mesher took too long; it would take longer with smaller elements."""
+
+
 class MeshNotWatertightError(InvalidMeshError):
     """The surface has holes, so it encloses no volume."""
 

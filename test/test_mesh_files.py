@@ -1,6 +1,7 @@
 """Reading object meshes: every format, every fault."""
 
 import logging
+from dataclasses import replace
 
 import meshio
 import numpy as np
@@ -310,3 +311,22 @@ def test_point_cloud_is_no_surface():
     data = trimesh.PointCloud(np.eye(3)).export(file_type="ply")
     with pytest.raises(InvalidMeshError, match="no triangles"):
         read_mesh_bytes(data, "ply")
+
+
+def test_tetrahedra_of_both_kinds_are_refused(tmp_path):
+    """Half of the object would be missing otherwise."""
+    block = replace(box(EXTENTS, (1, 1, 1)), element_order=2)
+    path = tmp_path / "both.vtu"
+    meshio.Mesh(block.vertices, [("tetra", block.tetrahedra[:2]), ("tetra10", block.elements[2:])]).write(path)
+    with pytest.raises(InvalidMeshError, match="of four and of ten nodes"):
+        read_mesh(path)
+
+
+def test_middle_nodes_out_of_range_are_refused(tmp_path):
+    """The error names the index, as for corners."""
+    block = replace(box(EXTENTS, (1, 1, 1)), element_order=2)
+    cells = block.elements.copy()
+    cells[0, 9] = 10_000
+    meshio.Mesh(block.vertices, [("tetra10", cells)]).write(tmp_path / "bad.vtu")
+    with pytest.raises(InvalidMeshError, match="bad.vtu.*index 10000, but the mesh has"):
+        read_mesh(tmp_path / "bad.vtu")

@@ -72,11 +72,11 @@ def test_hollow_objects_have_a_fixed_mesh():
 
 @pytest.mark.parametrize("name", ["strawberry", "apple_slice", "cube"])
 def test_solids_are_meshed_to_about_a_thousand_nodes(name):
-    """By default, with the volume of the surface; the ring is too thin for so few."""
+    """By default, with the volume of the surface and no bad element; the ring is too thin for so few nodes."""
     entry = find_object(name)
     mesh = entry.mesh()
     surface = trimesh.Trimesh(*entry.surface(), process=False)
-    assert 800 <= len(mesh.vertices) <= (2000 if name == "ring" else 1500)
+    assert 800 <= len(mesh.vertices) <= (2000 if name == "ring" else 1300)
     assert mesh.volume == pytest.approx(surface.volume, rel=1e-6)
     assert np.degrees(dihedral_angles(mesh).min()) > 5.0
 
@@ -85,7 +85,7 @@ def test_solids_are_meshed_to_about_a_thousand_nodes(name):
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("name", [name for name in object_library() if name not in HOLLOW])
 def test_every_solid_is_meshed(name):
-    """As above."""
+    """The same of all of them."""
     test_solids_are_meshed_to_about_a_thousand_nodes(name)
 
 

@@ -235,7 +235,7 @@ def test_a_crushed_block_is_marked(order, load, crushed):
 
 
 LOADED_BY_THREADS = """
-import dataclasses, threading
+import dataclasses, os, threading
 import numpy as np
 import warp as wp
 from warp._src.context import Module
@@ -256,9 +256,11 @@ def watched_load(self, *arguments, **options):
     return result
 
 Module.load = watched_load
+os.sched_getaffinity = lambda process: {0, 1}
 for order in (1, 2):
     mesh = dataclasses.replace(box((0.02, 0.02, 0.02), (1, 1, 1)), element_order=order)
     simulator = Simulator(ObjectModel("cube", mesh, Material()), GRIPPER, 2)
+    assert len(simulator._shards) == 2
     simulator.step(np.arange(2), 0.005, np.zeros(2), np.full(2, -0.01), quasi_static=False)
 """
 

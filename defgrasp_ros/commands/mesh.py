@@ -49,8 +49,9 @@ def mesh(
     from defgrasp_ros.mesh.mesh_writer import write_mesh
     from defgrasp_ros.mesh.report import mesh_report
 
-    if output is not None and output.suffix.lower().removeprefix(".") in TEXT_FORMATS:
-        element_order = element_order or 1
+    has_corners_alone = output is not None and output.suffix.lower().removeprefix(".") in TEXT_FORMATS
+    if element_order is None and has_corners_alone:
+        element_order = 1
     name, prepared, default = prepared_object(object, scale, edge_length, wall_thickness, edge_radius, element_order)
     substance: Material = find_material(material).material if material else default
     result = mesh_report(name, prepared, substance)

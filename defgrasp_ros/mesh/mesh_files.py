@@ -115,9 +115,15 @@ def prepare_bytes(
 
 
 def _curved_sides(vertices: np.ndarray, cells: np.ndarray) -> list[str]:
-    """Return a warning, or nothing, about nodes of tetrahedra that are not in the middle of their edges."""
+    """Return a warning, or nothing, about nodes of tetrahedra that are not in the middle of their edges.
+
+    Raises:
+        InvalidMeshError: If there are no such nodes.
+    """
     if cells.shape[1] == 4:
         return []
+    if cells.min() < 0 or cells.max() >= len(vertices):
+        raise InvalidMeshError(f"tetrahedra contain index {cells.max()}, but the mesh has {len(vertices)} vertices")
     distance = np.linalg.norm(vertices[cells[:, 4:]] - vertices[cells[:, TET_EDGES]].mean(axis=2), axis=-1)
     share = distance.max() / np.ptp(vertices[cells[:, :4]], axis=1).max()
     if share < STRAIGHT:

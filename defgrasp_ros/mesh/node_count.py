@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from defgrasp_ros.errors import InvalidMeshError
+from defgrasp_ros.errors import MeshingTimeoutError, TetrahedralizationError
 from defgrasp_ros.mesh.tet_mesh import TetMesh
 
 DEFAULT_NODES, TOLERANCE = 1_000, 0.15
@@ -29,27 +29,30 @@ def with_nodes(
     tolerance: float = TOLERANCE,
     attempts: int = ATTEMPTS,
 ) -> TetMesh:
-    """Make meshes until one has about so many nodes; return the one that comes nearest.
+    """Make meshes until one has about so many nodes, or takes too long; return the one that comes nearest.
 
     Args:
         make: Makes the mesh of an edge length [m].
         edge_length: With which to begin [m].
         element_order: Of the elements that the mesh is for.
-        after_failure: Factor on an edge length with which there is no mesh.
+        after_failure: Factor on an edge length with which ``make`` raises ``TetrahedralizationError``.
         nodes: How many there should be.
         tolerance: Relative difference that is let be.
         attempts: How many edge lengths are tried.
 
     Raises:
-        InvalidMeshError: If there is no mesh of any of the edge lengths: what was wrong with the first.
+        TetrahedralizationError: If there is no mesh of any of the edge lengths: what was wrong with the first.
+        InvalidMeshError: Whatever else ``make`` raises, at once.
     """
     best, excess = None, np.inf
-    failure: InvalidMeshError | None = None
+    failure: TetrahedralizationError | None = None
     for _ in range(attempts):
         try:
             mesh = make(edge_length)
-        except InvalidMeshError as error:
+        except TetrahedralizationError as error:
             failure = failure or error
+            if isinstance(error, MeshingTimeoutError):
+                break
             edge_length *= after_failure
             continue
         share = len(replace(mesh, element_order=element_order).vertices) / nodes

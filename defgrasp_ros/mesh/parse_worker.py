@@ -36,11 +36,11 @@ def _by_meshio(data: bytes, format: str) -> dict[str, np.ndarray]:
         file.write(data)
         file.flush()
         content = reader.read(file.name)
-    found = {"vertices": content.points, "cells": np.empty((0, 0)), "kinds": np.array(sorted(content.cells_dict))}
-    for kind in ("tetra", "tetra10", "triangle"):
-        if kind in content.cells_dict:
-            return {**found, "cells": content.cells_dict[kind]}
-    return found
+    cells, kinds = content.cells_dict, sorted(content.cells_dict)
+    if {"tetra", "tetra10"} <= cells.keys():
+        raise ValueError("it holds tetrahedra of four and of ten nodes; give all of them the same order")
+    chosen = next((cells[kind] for kind in ("tetra", "tetra10", "triangle") if kind in cells), np.empty((0, 0)))
+    return {"vertices": content.points, "cells": chosen, "kinds": np.array(kinds)}
 
 
 if __name__ == "__main__":

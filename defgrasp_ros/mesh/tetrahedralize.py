@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from defgrasp_ros.checks import require_in_range
-from defgrasp_ros.errors import InvalidMeshError, MeshTooLargeError, TetrahedralizationError
+from defgrasp_ros.errors import InvalidMeshError, MeshingTimeoutError, MeshTooLargeError, TetrahedralizationError
 from defgrasp_ros.mesh.cache import key_of, load, store
 from defgrasp_ros.mesh.limited_process import WorkerError, WorkerTimeoutError, run_worker
 from defgrasp_ros.mesh.node_count import with_nodes
@@ -147,7 +147,7 @@ def _run_tetwild(surface: trimesh.Trimesh, edge_length: float, envelope: float) 
             answer = run_worker(WORKER, request, time_limit=remaining, memory_limit=MEMORY_LIMIT)
             mesh = TetMesh(answer["vertices"], answer["tetrahedra"])
         except WorkerTimeoutError as error:
-            raise TetrahedralizationError(
+            raise MeshingTimeoutError(
                 f"the mesher did not finish in {TIME_LIMIT:g} s; give a larger target_edge_length or a simpler surface"
             ) from error
         except (WorkerError, InvalidMeshError) as error:  # the next order of insertion may well succeed

@@ -19,8 +19,6 @@ from defgrasp_ros.simulation.shared_compliance import SharedCompliance
 from defgrasp_ros.simulation.types import mat33d, vec3d
 from defgrasp_ros.simulation.world_state import WorldState, set_entries
 
-wp.set_module_options({"enable_backward": False})
-
 INITIAL_CAPACITY = 32
 """Contact points per world; grows in steps of this."""
 MARGIN = 1e-2
@@ -31,7 +29,7 @@ DEEP = 2e-3
 """Depth behind a face at which a point cannot be by the front, relative to the object's size [-]: far above what a
 solved step leaves."""
 TIE = 1e-5
-"""Difference of gaps that does not decide between two points, relative to the object\'s size [-]."""
+"""Difference of gaps that does not decide between two points, relative to the object's size [-]."""
 CONTACT_FIELDS = ("key", "body", "nodes", "weights", "frame", "plane", "axis", "force", "trend")
 
 
@@ -61,7 +59,7 @@ class ContactSet:
         self._near = wp.zeros((world_count, faces.BODY_COUNT, chunk_count), dtype=wp.uint64, device=device)
         self._no_correction = wp.zeros((world_count, model.node_count), dtype=vec3d, device=device)
         self.missing, self.longest = (wp.zeros(size, dtype=int, device=device) for size in (world_count, 1))
-        """Points that ``complete`` has added, per world, and the room that the longest list has ever needed."""
+        """Unlisted points inside a body that ``complete`` found per world, and the room of the longest list."""
         self.residual = wp.zeros(world_count, dtype=wp.float64, device=device)
         """How far the worst contact of each world is from its law [N], of ``find_residual``."""
         self._rho, self._assembled_step = (wp.zeros(world_count, dtype=wp.float64, device=device) for _ in range(2))

@@ -7,11 +7,11 @@ import warp as wp
 
 from defgrasp_ros.simulation.rows import RowList, Rows
 
-wp.set_module_options({"enable_backward": False})
-
 TILE = wp.constant(32)
 TILE_DEPTH = wp.constant(16)
 TILE_THREADS = 128
+
+wp.set_module_options({"enable_backward": False, "block_dim": TILE_THREADS})
 
 
 def multiply_rows(rows: RowList, left: wp.array, matrix: wp.array, out: wp.array) -> None:

@@ -42,7 +42,7 @@ class Progress:
     spent: wp.array[int]  # (world,): iterations since contacts were last added
     stalled: wp.array[int]  # (world,): iterations in a row without progress
     searches: wp.array[int]  # (world,): how often contacts were overlooked
-    accelerated: wp.array[int]  # (world,): iterations since the acceleration last started anew
+    accelerated: wp.array[int]  # (world,): iterations since the step began or growth last started the acceleration anew
     hard: wp.array[int]  # (world,): contact problems that needed more than their first method
 
 

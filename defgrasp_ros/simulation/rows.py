@@ -62,7 +62,7 @@ class RowList:
     """A list of up to ``room`` worlds in memory that stays where it is, so that launches over it can be recorded."""
 
     def __init__(self, room: int, device: wp.Device):
-        self._memory = wp.zeros(1 + room, dtype=int, device=device)
+        self._memory = wp.zeros(1 + max(room, 1), dtype=int, device=device)
         self._host = self._memory.numpy()
         """On the CPU the list itself, elsewhere what was last assigned."""
         self._room = room
@@ -144,7 +144,7 @@ class _Recorded:
         self.command = wp.launch(kernel, dim=dim, inputs=arguments, device=device, record_cmd=True)
 
     def update(self, dim: tuple[int, ...], arguments: list) -> None:
-        """Set what is not the same object as before."""
+        """Set what is not the same object as before: a struct must not be changed in place once it is recorded."""
         if dim != self._dim:
             self.command.set_dim(dim)
             self._dim = dim

@@ -10,8 +10,6 @@ from defgrasp_ros.simulation.kernels_elasticity import Spin
 from defgrasp_ros.simulation.kernels_faces import BODY_COUNT, PLATFORM, Bodies
 from defgrasp_ros.simulation.types import mat33d, vec3d
 
-wp.set_module_options({"enable_backward": False})
-
 UPWARD_FRAME = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Frame of the platform: rows normal, and two directions along it."""
 
