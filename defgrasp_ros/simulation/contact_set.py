@@ -240,9 +240,18 @@ class ContactSet:
             tolerance: Largest residual (world,) [N].
         """
         self._look_at_contacts(rows, correction)
-        if self._problems.worlds is not rows.device.worlds:
-            self._problems.worlds = rows.device.worlds
+        self._list_problems_of(rows)
         self._solver.solve(rows, self._problems, tolerance)
+
+    def _list_problems_of(self, rows: RowList) -> None:
+        """Let the problems be those of these worlds, in a new struct: the old one belongs to recorded launches."""
+        if self._problems.worlds is rows.device.worlds:
+            return
+        problems = coulomb.ContactProblems()
+        for name in coulomb.ContactProblems.vars:
+            setattr(problems, name, getattr(self._problems, name))
+        problems.worlds = rows.device.worlds
+        self._problems = problems
 
     def take_forces(self, rows: RowList, nodal_force: wp.array, hard: wp.array) -> None:
         """Take the forces of ``solve``.
