@@ -17,7 +17,7 @@ from defgrasp_ros.mesh.quality import dihedral_angles
 from defgrasp_ros.mesh.rounding import with_rounded_edges
 from defgrasp_ros.mesh.shell import shell_mesh
 from defgrasp_ros.mesh.surface import MENDS, closed_surface, open_surface
-from defgrasp_ros.mesh.tet_mesh import DEFAULT_ELEMENT_ORDER, TetMesh, require_element_order
+from defgrasp_ros.mesh.tet_mesh import TetMesh, made_element_order
 from defgrasp_ros.mesh.tetrahedralize import MAX_TETRAHEDRA, tetrahedralize
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ def prepare_surface(
     Raises:
         InvalidMeshError: If the surface is no solid of plausible size; of a class that says which fault it is.
     """
-    order = require_element_order(DEFAULT_ELEMENT_ORDER if element_order is None else element_order)
+    order = made_element_order(element_order)
     vertices = _scaled(vertices, scale)
     _require_plausible_size(vertices)
     if wall_thickness is not None:

@@ -191,6 +191,15 @@ def require_element_order(element_order: int) -> int:
     return element_order
 
 
+def made_element_order(element_order: int | None) -> int:
+    """Return the order of tetrahedra that are made here: the one asked for, or ``DEFAULT_ELEMENT_ORDER`` for None.
+
+    Raises:
+        InvalidMeshError: If there are no elements of that order.
+    """
+    return require_element_order(DEFAULT_ELEMENT_ORDER if element_order is None else element_order)
+
+
 def signed_volumes(vertices: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
     """Return (p1-p0) . ((p2-p0) x (p3-p0)) / 6 of each element [m^3], shape ``(tet,)``."""
     p0, p1, p2, p3 = np.moveaxis(vertices[tetrahedra], 1, 0)

@@ -14,7 +14,7 @@ from defgrasp_ros.configuration import config_file
 from defgrasp_ros.errors import InvalidOptionsError, NotFoundError
 from defgrasp_ros.material_library import MaterialRecord, find_material
 from defgrasp_ros.mesh.object_mesh import prepare_surface
-from defgrasp_ros.mesh.tet_mesh import DEFAULT_ELEMENT_ORDER, TetMesh, require_element_order
+from defgrasp_ros.mesh.tet_mesh import DEFAULT_ELEMENT_ORDER, TetMesh, made_element_order
 from defgrasp_ros.object_model import ObjectModel
 
 CATEGORIES = ("primitive", "hollow", "food", "organ")
@@ -70,7 +70,7 @@ class LibraryObject:
             InvalidOptionsError: If an edge length is given for a hollow object, whose walls have their own.
             InvalidMeshError: As ``prepare_surface``.
         """
-        order = require_element_order(DEFAULT_ELEMENT_ORDER if element_order is None else element_order)
+        order = made_element_order(element_order)
         made = self._make(order)
         if isinstance(made, TetMesh):
             if target_edge_length is not None:
